@@ -89,14 +89,17 @@ class Coverage:
         while max(high - low) > _MAX_CELLS * pitch:
             pitch *= 2.0
         # A cell's index is that of its centre: centre k is at (k + 1/2) pitch.
-        first, last = np.ceil(low / pitch - 0.5).astype(int), np.floor(high / pitch - 0.5).astype(int)
+        first, last = np.ceil(low / pitch - 0.5).astype(np.int64), np.floor(high / pitch - 0.5).astype(np.int64)
         if (last < first).any():
             return 0.0
-        changes = np.zeros((last[1] - first[1] + 1, last[0] - first[0] + 2), dtype=np.int32)
         rows, starts, ends = _spans(flat / pitch - 0.5, self._triangles, first, last)
-        np.add.at(changes, (rows - first[1], starts - first[0]), 1)
-        np.add.at(changes, (rows - first[1], ends - first[0] + 1), -1)
-        return int(np.count_nonzero(np.cumsum(changes, axis=1))) * pitch * pitch
+        width, height = (last - first + 1).tolist()
+        # One cell more in each row takes the end of a span at its right side.
+        row_starts = (rows - first[1]) * (width + 1) - first[0]
+        size = height * (width + 1)
+        changes = np.bincount(row_starts + starts, minlength=size)
+        changes -= np.bincount(row_starts + ends + 1, minlength=size)
+        return int(np.count_nonzero(np.cumsum(changes))) * pitch * pitch
 
 
 def _spans(
@@ -110,26 +113,27 @@ def _spans(
         first: smallest column and row that count, shape (2,).
         last: largest ones, shape (2,).
     """
-    height = points[1, triangles]
-    bottom = np.maximum(np.ceil(height.min(axis=1)).astype(np.int64), first[1])
-    top = np.minimum(np.floor(height.max(axis=1)).astype(np.int64), last[1])
-    counts = np.maximum(top - bottom + 1, 0)
+    # Corners by height. Both triangles of an edge then compute the same bits, so that no gap opens between them.
+    by_height = np.argsort(points[1, triangles], axis=1, kind="stable")
+    low, middle, high = np.take_along_axis(triangles, by_height, axis=1).T
+    x, y = points
+    bottom = np.maximum(np.ceil(y[low]).astype(np.int64), first[1])
+    counts = np.maximum(np.minimum(np.floor(y[high]).astype(np.int64), last[1]) - bottom + 1, 0)
     # One entry for each triangle and each row that it crosses.
-    triangle = np.repeat(np.arange(len(triangles)), counts)
-    rows = np.arange(len(triangle)) - np.repeat(np.cumsum(counts) - counts, counts) + bottom[triangle]
-    left, right = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        # Both triangles of an edge compute the same bits, so that no gap opens between them.
-        ends = np.sort(triangles[:, [a, b]], axis=1)[triangle]
-        (x0, y0), (x1, y1) = points[:, ends[:, 0]], points[:, ends[:, 1]]
-        crosses = (np.minimum(y0, y1) <= rows) & (rows <= np.maximum(y0, y1))
-        # A horizontal edge has the crossings of the other two at its ends.
-        slope = np.divide(x1 - x0, y1 - y0, out=np.zeros_like(x0), where=crosses & (y1 != y0))
-        crossing = x0 + (rows - y0) * slope
-        crosses &= y1 != y0
-        left = np.where(crosses, np.minimum(left, crossing), left)
-        right = np.where(crosses, np.maximum(right, crossing), right)
-    start = np.maximum(np.ceil(np.maximum(left, first[0])), first[0])
-    end = np.minimum(np.floor(np.minimum(right, last[0])), last[0])
+    rows = np.arange(counts.sum()) + np.repeat(bottom - np.cumsum(counts) + counts, counts)
+    edges = [_slopes(x, y, a, b) for a, b in ((low, high), (low, middle), (middle, high))]
+    corners = np.stack([x[low], y[low], x[middle], y[middle], *edges])
+    x_low, y_low, x_middle, y_middle, whole, lower, upper = np.repeat(corners, counts, axis=1)
+    one = x_low + (rows - y_low) * whole
+    two = np.where(rows < y_middle, x_low + (rows - y_low) * lower, x_middle + (rows - y_middle) * upper)
+    start = np.ceil(np.maximum(np.minimum(one, two), first[0])).astype(np.int64)
+    end = np.floor(np.minimum(np.maximum(one, two), last[0])).astype(np.int64)
     inside = start <= end
-    return rows[inside], start[inside].astype(np.int64), end[inside].astype(np.int64)
+    return rows[inside], start[inside], end[inside]
+
+
+def _slopes(x: Array, y: Array, a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
+    """Return dx/dy of the edges from corners a to b; 0 for a horizontal one, whose row begins at its end b."""
+    rise = y[b] - y[a]
+    slopes: Array = np.divide(x[b] - x[a], rise, out=np.zeros(len(a)), where=rise > 0.0)
+    return slopes

@@ -71,7 +71,8 @@ class KeypointPoses:
         #: Particle of each keypoint by name.
         self.particles = keypoint_particles(scene)
         indices = np.array(list(self.particles.values()), dtype=np.int64)
-        self._indices, self._triangles = indices, sheet.triangles()
+        triangles = sheet.triangles()
+        self._indices, self._triangles = indices, triangles[np.isin(triangles, indices).any(axis=1)]
         #: Start and end of an edge at each keypoint.
         self._edges = np.array([_edge(sheet, self._triangles, int(index)) for index in indices])
 

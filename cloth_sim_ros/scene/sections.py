@@ -399,7 +399,7 @@ class CoverageParameters:
     )
     resolution: float = parameter(
         "double",
-        0.002,
+        0.005,
         "Edge length of the cells that are counted if their centre is covered; doubled until the cloth has at most "
         "4096 along either side",
         unit="m",
