@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -97,7 +98,8 @@ def test_bag_of_a_live_node_is_the_same_to_the_last_bit(client: Client, tmp_path
 
 def test_snapshots_repeat_and_resume_after_a_lost_frame(client: Client, tmp_path: Path) -> None:
     # Ten frames between two snapshots.
-    with ClockedCloth(client, PARAMETERS | {"record.snapshot_period": 10 / 60}) as cloth:
+    energy = {"diagnostics.energy": True}
+    with ClockedCloth(client, PARAMETERS | energy | {"record.snapshot_period": 10 / 60}) as cloth:
         missing = (f"{NODE}/frame", 5)
         record(client, cloth, tmp_path / "bag.mcap", lambda: cloth.tick(30), keeps=lambda *message: message != missing)
     verdict = verify_one(tmp_path / "bag.mcap")
@@ -169,6 +171,13 @@ def test_frames_are_published_for_subscribers_only(client: Client) -> None:
         cloth.tick(2)
         assert [FrameRecord.from_json(decode_string(data)).extras["sequence"] for data in sent] == [3, 4]
         client.node.destroy_subscription(looking)
+
+
+def test_node_loads_optional_topics_late() -> None:
+    optional = ["cloth_sim_ros.ros.recording.bag_topics", "cloth_sim_ros.ros.io.ground_truth"]
+    script = f"import sys, cloth_sim_ros.ros.node; print([name for name in {optional} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"
 
 
 def test_node_without_the_parameter_has_no_topics_for_bags(client: Client) -> None:

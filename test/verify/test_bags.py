@@ -170,7 +170,10 @@ def test_repeated_messages_are_run_once(recorded: list[BagMessage], tmp_path: Pa
     assert verdict.not_compared["/cloth_sim/frame", "a second message of one frame"] == COUNT
 
 
-def test_folder_of_a_split_bag_is_read_in_order(recorded: list[BagMessage], tmp_path: Path) -> None:
+def test_folder_of_a_split_bag_is_read_in_order(
+    recorded: list[BagMessage], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloth_sim_ros.verify.bag._LAG", 4)
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
     cuts = [len(recorded) * k // 11 for k in range(12)]
     for k in range(11):
