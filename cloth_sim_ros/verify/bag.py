@@ -40,6 +40,8 @@ from cloth_sim_ros.verify.verdict import Findings, FramePosition, Verdict
 _FRAME_LEAF = "/frame"
 #: Number of later frame records after which a frame is run: its other messages may be a second late in the bag.
 _LAG = 64
+#: Largest number of stamps whose clouds and wrenches wait for their frame.
+_MAX_WAITING = 4 * _LAG
 #: Number of different reasons why messages cannot be read that are reported.
 _MAX_REASONS = 5
 
@@ -208,6 +210,8 @@ class _BagRun:
         elif topic == self._points or (topic.endswith("/wrench") and message.type_name == messages.WRENCH):
             self._has_clouds = self._has_clouds or topic == self._points
             self._outputs.setdefault(_header_stamp(message.data), {}).setdefault(topic, []).append(message)
+            if len(self._outputs) > _MAX_WAITING:
+                self._skip_outputs(self._take_outputs(next(iter(self._outputs))))
         elif topic == self._topology:
             self._topology_message = message
         else:

@@ -214,6 +214,16 @@ def test_bag_without_snapshots_names_the_topic(recorded: list[BagMessage], tmp_p
     assert verdict.missing == ["no message of /cloth_sim/snapshot, from which the frames could be run"]
 
 
+def test_clouds_without_frames_are_counted(recorded: list[BagMessage], tmp_path: Path) -> None:
+    first = recorded[0]
+    clouds = [entry for entry in stream(session="77") if entry.topic.endswith("/points")]
+    stamps = [k.to_bytes(4, "little") for k in range(400)]
+    more = [clouds[0]._replace(data=clouds[0].data[:8] + stamp + clouds[0].data[12:]) for stamp in stamps]
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [first, *more, *recorded[1:]]))
+    assert (verdict.frames, verdict.clouds, status_of(verdict)) == (COUNT, COUNT, 0)
+    assert verdict.not_compared["/cloth_sim/points", "of no frame that was run"] == 400
+
+
 def test_snapshots_alone_are_refused_with_the_remedy(
     recorded: list[BagMessage], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
