@@ -63,14 +63,15 @@ def is_bag(path: Path) -> bool:
             summary = read_summary(file) if path.stat().st_size > len(MAGIC) else None
             if summary is not None and summary.channels:
                 channels = ((entry.topic, summary.schemas.get(entry.schema_id)) for entry in summary.channels.values())
-                return any(_is_snapshot(topic, schema.name) for topic, schema in channels if schema is not None)
+                return any(is_snapshot(topic, schema.name) for topic, schema in channels if schema is not None)
         first_messages = itertools.islice(bag_messages(path), _MAX_PROBED_MESSAGES)
-        return any(_is_snapshot(topic, kind) for topic, kind, _, _ in first_messages)
+        return any(is_snapshot(topic, kind) for topic, kind, _, _ in first_messages)
     except (SessionError, DamagedRecordError):
         return False
 
 
-def _is_snapshot(topic: str, type_name: str) -> bool:
+def is_snapshot(topic: str, type_name: str) -> bool:
+    """Return True for the topic of a cloth's snapshots."""
     return topic.endswith(SNAPSHOT_LEAF) and type_name == SNAPSHOT_TYPE
 
 

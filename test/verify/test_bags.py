@@ -10,6 +10,7 @@ import pytest
 from support.bag_maker import BagMessage, MessageMaker, write_bag
 
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.main import main as session_main
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target
 from cloth_sim_ros.verify.bag import verify_bag
 from cloth_sim_ros.verify.main import main, status_of
@@ -77,6 +78,8 @@ def test_command_verifies_a_bag(recorded: list[BagMessage], tmp_path: Path, caps
     assert f"bag.mcap: {COUNT} frames and {COUNT} clouds came out the same to the last bit" in capsys.readouterr().out
     assert main([str(path), "--accuracy"]) == 2
     assert "is a bag; --accuracy takes a session" in capsys.readouterr().err
+    assert session_main(["info", str(path)]) == 2
+    assert "is a bag of another recorder; cloth_verify alone reads it" in capsys.readouterr().err
 
 
 def test_bag_from_the_middle_begins_at_its_first_snapshot(recorded: list[BagMessage], tmp_path: Path) -> None:
