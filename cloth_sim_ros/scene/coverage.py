@@ -124,10 +124,10 @@ def _spans(
     edges = [_slopes(x, y, a, b) for a, b in ((low, high), (low, middle), (middle, high))]
     corners = np.stack([x[low], y[low], x[middle], y[middle], *edges])
     x_low, y_low, x_middle, y_middle, whole, lower, upper = np.repeat(corners, counts, axis=1)
-    one = x_low + (rows - y_low) * whole
-    two = np.where(rows < y_middle, x_low + (rows - y_low) * lower, x_middle + (rows - y_middle) * upper)
-    start = np.ceil(np.maximum(np.minimum(one, two), first[0])).astype(np.int64)
-    end = np.floor(np.minimum(np.maximum(one, two), last[0])).astype(np.int64)
+    long_edge = x_low + (rows - y_low) * whole
+    short_edge = np.where(rows < y_middle, x_low + (rows - y_low) * lower, x_middle + (rows - y_middle) * upper)
+    start = np.ceil(np.maximum(np.minimum(long_edge, short_edge), first[0])).astype(np.int64)
+    end = np.floor(np.minimum(np.maximum(long_edge, short_edge), last[0])).astype(np.int64)
     inside = start <= end
     return rows[inside], start[inside], end[inside]
 
