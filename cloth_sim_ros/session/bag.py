@@ -109,12 +109,12 @@ def _sqlite_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
 
     from rosbags.rosbag2 import Reader, ReaderError
 
+    # Refuses pipes and devices.
+    open_file(path).close()
     try:
         with Reader(path) as reader:
             for connection, log_time, data in reader.messages():
                 yield connection.topic, connection.msgtype, log_time, bytes(data)
-    except FileNotFoundError:
-        raise SessionError(f"{path} does not exist") from None
     except (ReaderError, sqlite3.Error, OSError) as error:
         raise SessionError(f"{path} can't be read as a bag of SQLite: {error}") from error
 
