@@ -55,7 +55,7 @@ def bag_files(path: Path) -> list[Path]:
 def is_bag(path: Path) -> bool:
     """Return True for the folder or the file of a bag that holds snapshots of a cloth, and for any SQLite file."""
     if path.is_dir():
-        return any(file.suffix in _ENDINGS and is_bag(file) for file in path.iterdir())
+        return any(file.suffix in _ENDINGS and not file.is_dir() and is_bag(file) for file in path.iterdir())
     if path.suffix == _SQLITE:
         return True
     try:
@@ -105,18 +105,34 @@ def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
 
 
 def _sqlite_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
-    import sqlite3
-
-    from rosbags.rosbag2 import Reader, ReaderError
+    try:
+        from rosbags.rosbag2 import Reader
+    except ImportError as error:
+        raise SessionError(f"{path} needs {error.name}, which is not installed: pip install rosbags") from error
 
     # Refuses pipes and devices.
     open_file(path).close()
+    count = 0
     try:
         with Reader(path) as reader:
             for connection, log_time, data in reader.messages():
-                yield connection.topic, connection.msgtype, log_time, bytes(data)
-    except (ReaderError, sqlite3.Error, OSError) as error:
-        raise SessionError(f"{path} can't be read as a bag of SQLite: {error}") from error
+                topic, kind = connection.topic, connection.msgtype
+                # Columns of SQLite hold values of any type.
+                if not (isinstance(topic, str) and isinstance(kind, str) and isinstance(data, bytes | memoryview)):
+                    raise DamagedSessionError(f"{path} has a message whose topic, type or data is of a wrong type")
+                yield topic, kind, log_time, bytes(data)
+                count += 1
+    except SessionError:
+        raise
+    except Exception as error:  # Errors of several libraries.
+        error_class = DamagedSessionError if count else SessionError
+        raise error_class(f"{path} can't be read as a bag of SQLite: {error}") from error
+    log = path.with_name(f"{path.name}-wal")
+    if log.is_file() and log.stat().st_size:
+        raise DamagedSessionError(
+            f"{log} holds messages that are not read, because the recorder did not end: run "
+            f"`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
+        )
 
 
 def _records(file: BinaryIO) -> Iterator[Schema | Channel | RawMessage]:

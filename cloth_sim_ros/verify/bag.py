@@ -95,10 +95,12 @@ def verify_bag(path: Path, *, on_frame: Callable[[], object] = lambda: None) -> 
         A verdict for each node whose frame records are in the bag; none if there is no such node.
 
     Raises:
-        SessionError: if a file cannot be read.
+        SessionError: if a file cannot be read, or if it is damaged before the first frame record.
     """
     files, damage = bag_files(path), list[str]()
     contents = _read_contents(_messages(files, damage))
+    if damage and not contents:
+        raise DamagedSessionError(damage[0])
     runs = {}
     for node, content in contents.items():
         name = path.name if len(contents) == 1 else f"{path.name}, {node}"

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -185,19 +187,55 @@ def test_folder_of_a_split_bag_is_read_in_order(
     assert verify_one(tmp_path).frames == COUNT
 
 
-def test_bag_of_sqlite_is_verified(recorded: list[BagMessage], tmp_path: Path) -> None:
+def write_sqlite(folder: Path, entries: list[BagMessage]) -> Path:
+    """Write a bag of SQLite; return its file."""
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     from cloth_sim_ros.session.channel_description import standard_types
 
-    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
+    with rosbag2.Writer(folder, version=9) as writer:
         connections = {}
-        for index, (topic, kind, data) in enumerate(recorded):
+        for index, (topic, kind, data) in enumerate(entries):
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=standard_types())
             writer.write(connections[topic], index, data)
+    (path,) = folder.glob("*.db3")
+    return path
+
+
+def test_bag_of_sqlite_is_verified(recorded: list[BagMessage], tmp_path: Path) -> None:
+    path = write_sqlite(tmp_path / "bag", recorded)
     assert main([str(tmp_path / "bag")]) == 0
-    (path,) = (tmp_path / "bag").glob("*.db3")
     assert verify_one(path).frames == COUNT
+
+
+@pytest.mark.parametrize("value", [10**12, "text", 1.5, -3])
+def test_value_of_sqlite_without_bytes_is_damage(recorded: list[BagMessage], tmp_path: Path, value: object) -> None:
+    path = write_sqlite(tmp_path / "bag", recorded)
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE messages SET data = ? WHERE id = 50", (value,))
+        connection.commit()
+    verdict = verify_one(path)
+    assert (verdict.same, status_of(verdict)) == (True, 2)
+    assert "whose topic, type or data is of a wrong type" in verdict.missing[0]
+
+
+def test_topic_of_sqlite_without_text_is_damage(
+    recorded: list[BagMessage], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_sqlite(tmp_path / "bag", recorded)
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE topics SET name = ? WHERE id = 1", (b"\xff",))
+        connection.commit()
+    assert main([str(path)]) == 2
+    assert "whose topic, type or data is of a wrong type" in capsys.readouterr().err
+
+
+def test_unread_log_of_sqlite_is_named(recorded: list[BagMessage], tmp_path: Path) -> None:
+    path = write_sqlite(tmp_path / "bag", recorded)
+    path.with_name(f"{path.name}-wal").write_bytes(b"later messages")
+    verdict = verify_one(path)
+    assert (verdict.frames, status_of(verdict)) == (COUNT, 2)
+    assert "-wal holds messages that are not read" in verdict.missing[0]
 
 
 def test_cut_bag_is_verified_up_to_the_cut(recorded: list[BagMessage], tmp_path: Path) -> None:
