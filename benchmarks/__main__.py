@@ -15,6 +15,7 @@ COMMANDS = {
     "real-time": ("benchmarks.speed.real_time", "real-time factor by particles, stiffness, tolerance, integrator"),
     "cost-additivity": ("benchmarks.speed.cost_additivity", "cost of each pair of features against the sum of both"),
     "feature-cost": ("benchmarks.speed.feature_cost", "cost of a feature absent, idle and active; counts; start-up"),
+    "ground-truth": ("benchmarks.speed.ground_truth", "normals, keypoints, covered area and snapshots beside a cloud"),
     "scale": ("benchmarks.scale.overview", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
     "peers": ("benchmarks.peers.throughput", "other engines on the same sheet, in an environment of their own"),
     "peers-contact": ("benchmarks.peers.contact", "other engines on a drape, a fold and a pinch; depth and creep"),

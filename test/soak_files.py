@@ -27,9 +27,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).parent))
+
+if TYPE_CHECKING:
+    from support.bag_maker import BagMessage
 
 #: Time limit of a command [s].
 LIMIT = 60
@@ -166,6 +169,7 @@ class Samples:
         self.folder = folder
         folder.mkdir()
         self.session = make_grasp(folder, seconds=0.4, cloth__resolution=[5, 5])
+        self.bag = self._bag()
         self.state = self._state()
         for name, text in self.texts().items():
             (folder / name).write_text(text)
@@ -173,6 +177,17 @@ class Samples:
         self.study = folder / "study"
         if importlib.util.find_spec("distributed") is not None:
             self._perform()
+
+    @staticmethod
+    def _bag() -> list[BagMessage]:
+        """Return the messages of a bag with two snapshots."""
+        from support.bag_maker import MessageMaker
+
+        from cloth_sim_ros.scene.scene import Scene
+
+        maker = MessageMaker(Scene.from_parameters({"cloth.resolution": [5, 5]}))
+        frames = [[maker.snapshot(), *maker.frame()] if k in (0, 5) else maker.frame() for k in range(10)]
+        return [maker.topology(), *(message for messages in frames for message in messages)]
 
     def _state(self) -> bytes:
         from cloth_sim_ros.session.reader import SessionReader
@@ -324,6 +339,7 @@ def cases(samples: Samples, folder: Path, rng: random.Random) -> Iterator[tuple[
                 )
             ],
         )
+        yield "bag of frames", _bag_damaged(samples, folder / "frames.mcap", rng)
         write("state.npz", damaged_bytes(samples.state, rng))
         yield "state", scene_with("initial_state", "state.npz")
         yield "scene", [("cloth_sim", ["--check", write("scene.yaml", damaged_text(texts["scene.yaml"], rng))])]
@@ -339,6 +355,20 @@ def cases(samples: Samples, folder: Path, rng: random.Random) -> Iterator[tuple[
             write("study.yaml", damaged_text(texts["study.yaml"], rng))
             yield "study", [("cloth_batch", ["check", str(folder / "study.yaml")])]
             yield "study folder", _study_folder(samples, folder, rng)
+
+
+def _bag_damaged(samples: Samples, path: Path, rng: random.Random) -> list[tuple[str, list[str]]]:
+    """Write a bag with one damaged message or damaged bytes."""
+    from support.bag_maker import write_bag
+
+    messages = list(samples.bag)
+    if rng.random() < 0.7:
+        position = rng.randrange(len(messages))
+        messages[position] = messages[position]._replace(data=damaged_bytes(messages[position].data, rng))
+        write_bag(path, messages)
+    else:
+        path.write_bytes(damaged_bytes(write_bag(path, messages).read_bytes(), rng))
+    return [("cloth_verify", [str(path)])]
 
 
 def _study_folder(samples: Samples, folder: Path, rng: random.Random) -> list[tuple[str, list[str]]]:

@@ -76,7 +76,8 @@ class Candidate:
         self._recording.before_frame(stamp)
         frame = self._simulation.advance()
         self._recording.add_frame(frame, stamp)
-        self._outputs.send(self._simulation.state.x, frame.wrenches, stamp)
+        state, fields = self._simulation.state, self._simulation.scene.points
+        self._outputs.send(state.x, frame.wrenches, stamp, velocities=state.v, fields=fields)
         return time.perf_counter() - begun
 
     @property

@@ -19,7 +19,7 @@ from cloth_sim_ros.ros.io.outputs import Outputs
 from cloth_sim_ros.ros.process.failure import FailureGuard, ignore_errors_after_shutdown
 from cloth_sim_ros.ros.process.worker_thread import InterruptibleLock, run_inline
 from cloth_sim_ros.ros.recording.initial_state import describe_left_out
-from cloth_sim_ros.ros.recording.recording import SessionRecording
+from cloth_sim_ros.ros.recording.recording import RecordingNotInstalledError, SessionRecording
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl, RosoutRecorder
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.reporting.report import log_start
@@ -88,6 +88,8 @@ class ClothNode:
         )
         self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log)
         self.outputs = Outputs(self.node, simulation, self.inputs.commands, session, log)
+        if scene.record.topics:
+            self._add_bag_topics(session)
         self.reporting = Reporting(self.node, log, self.failure, self.timing, self.inputs, self.outputs, session)
         self.failure.reports = {
             "recording": lambda *_: session.discard(),
@@ -193,6 +195,14 @@ class ClothNode:
                 self.outputs.cloth.flush()
                 self.reporting.diagnostics.flush()
         self.recording.end(timeout=timeout)
+
+    def _add_bag_topics(self, session: SessionRecording) -> None:
+        from cloth_sim_ros.ros.recording.bag_topics import BagTopics
+
+        try:
+            session.bag_topics = BagTopics(self.node, self.simulation, session, session.snapshot)
+        except RecordingNotInstalledError as error:
+            self.node.get_logger().error(str(error))
 
     def _on_tick(self, tick: FrameTick) -> None:
         with self._lock, ignore_errors_after_shutdown(self.node):

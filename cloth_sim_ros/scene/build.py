@@ -159,7 +159,7 @@ def anchored_particles(scene: PhysicsScene, sheet: Sheet) -> list[int]:
     """
     count = len(sheet.positions())
     return sorted(
-        {particle for name in scene.cloth.anchors for particle in _named("cloth.anchors", name, sheet, count)}
+        {particle for name in scene.cloth.anchors for particle in named_particles("cloth.anchors", name, sheet, count)}
     )
 
 
@@ -175,7 +175,7 @@ def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
     for joint, ends in _joint_ends(scene):
         if any(_is_obstacle(scene, sheet, end) for end in ends):
             continue
-        first, second = (_named("cloth.joints", end, sheet, count) for end in ends)
+        first, second = (named_particles("cloth.joints", end, sheet, count) for end in ends)
         if len(first) != len(second):
             raise ParameterError(
                 f"cloth.joints has '{joint}', which joins {len(first)} particles with {len(second)}; name equally many"
@@ -216,7 +216,7 @@ def _described_obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[
         if len(obstacles) == 2:
             raise ParameterError(f"cloth.joints has '{joint}', which joins two obstacles; name a particle and one")
         for name in obstacles:
-            particles = _named("cloth.joints", ends[1 - ends.index(name)], sheet, count)
+            particles = named_particles("cloth.joints", ends[1 - ends.index(name)], sheet, count)
             joints += [(name, particle) for particle in particles]
     for (name, particle), n_joints in Counter(joints).items():
         if n_joints > 1:
@@ -255,8 +255,12 @@ def _check_pieces(scene: PhysicsScene, sheet: MeshSheet, joints: NDArray[np.int6
         )
 
 
-def _named(parameter: str, name: str, sheet: Sheet, count: int) -> list[int]:
-    """Return the particles of a number, or of a grid's edge or corner; none for an empty name."""
+def named_particles(parameter: str, name: str, sheet: Sheet, count: int) -> list[int]:
+    """Return the particles of a number, or of a grid's edge or corner; none for an empty name.
+
+    Raises:
+        ParameterError: naming the parameter, for another name or a number that is too large.
+    """
     if name.isdecimal():
         # Python refuses to parse integers of more than a few thousand digits.
         digits = name.lstrip("0") or "0"

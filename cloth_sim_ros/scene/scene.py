@@ -24,9 +24,9 @@ from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import SleepState
 from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene import coverage, gripper_parameters, keypoints, limits, relaxation, sections
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
-from cloth_sim_ros.scene import gripper_parameters, limits, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene.build import Sheet, anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
 from cloth_sim_ros.scene.gripper_section import PINCH, PRESCRIBED
@@ -40,6 +40,7 @@ from cloth_sim_ros.scene.sections import (
     BendingParameters,
     ClothParameters,
     ContactParameters,
+    CoverageParameters,
     DiagnosticsParameters,
     GripperParameters,
     MaterialParameters,
@@ -154,6 +155,13 @@ class Scene:
         observes=True,
     )
     points: PointsParameters = section(PointsParameters)
+    keypoints: tuple[str, ...] = parameter(
+        "string[]",
+        ("",),
+        "Particles whose poses are on ~/keypoints, in this order: 'corners' of a grid, or one of them (top_left, ...), "
+        "a particle's number, <name>=<number> to name it; no topic: ['']",
+    )
+    coverage: CoverageParameters = section(CoverageParameters)
     tf: TfParameters = section(TfParameters)
     record: RecordParameters = section(RecordParameters)
     diagnostics: DiagnosticsParameters = section(DiagnosticsParameters)
@@ -168,6 +176,8 @@ class Scene:
         """Check combinations of values that no single parameter shows."""
         check_values(self)
         check_sheet(self)
+        keypoints.keypoint_particles(self)
+        coverage.check_coverage(self)
         if self.initial_state:
             self._loaded_state()
         if scene_pinch.pads_of(self, 1.0) or (self.obstacle_names and self.solids) or self.contact.self_:

@@ -355,6 +355,57 @@ class PointsParameters:
         live=True,
         observes=True,
     )
+    normal: bool = parameter(
+        "bool",
+        False,
+        "Fields normal_x, normal_y, normal_z: unit normal of the surface, by the right-hand rule of the triangles of "
+        "~/topology; 0 without a triangle",
+        live=True,
+        observes=True,
+    )
+    id: bool = parameter(
+        "bool",
+        False,
+        "Field id (uint32): index of the particle, which survives a filter that removes points",
+        live=True,
+        observes=True,
+    )
+
+    @property
+    def fields(self) -> dict[str, bool]:
+        """Fields after x, y, z, and the precision, as arguments of an encoder of clouds."""
+        return {"velocity": self.velocity, "normal": self.normal, "ids": self.id, "double": self.double}
+
+
+@attrs.frozen(kw_only=True)
+class CoverageParameters:
+    """Area on ~/coverage that the cloth covers."""
+
+    obstacle: str = parameter(
+        "string",
+        "",
+        "Plane or box onto which the cloth is projected, along the z axis of its frame; described by <name>.shape, "
+        "with contact only if obstacles names it; empty: no topic",
+    )
+    size: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0),
+        "Rectangle about the obstacle's position, along its x and y; the area outside is not counted. 0, 0: all of a "
+        "plane, or the top of a box",
+        unit="m",
+        length=2,
+        min=0.0,
+        max=100.0,
+    )
+    resolution: float = parameter(
+        "double",
+        0.005,
+        "Edge length of the cells that are counted if their centre is covered; doubled until the cloth has at most "
+        "4096 along either side",
+        unit="m",
+        min=1e-5,
+        max=1.0,
+    )
 
 
 @attrs.frozen(kw_only=True)
@@ -388,6 +439,22 @@ class RecordParameters:
     compression: str = parameter("string", "lz4", "Compression of the file's chunks", choices=("lz4", "zstd", "none"))
     least_free_space: int = parameter(
         "int", 100_000_000, "Free disk space below which the recording ends", unit="B", min=0, max=1 << 50
+    )
+    topics: bool = parameter(
+        "bool",
+        False,
+        "Topics ~/frame and ~/snapshot, sent while ~/frame has subscribers; cloth_verify runs a bag with both again",
+    )
+    snapshot_period: float = parameter(
+        "double",
+        10.0,
+        "Simulated time between two messages of ~/snapshot; a bag that lost a message is run again from the next one "
+        "on. 0: only for each new subscriber",
+        unit="s",
+        min=0.0,
+        max=1e6,
+        live=True,
+        observes=True,
     )
 
 

@@ -1,9 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of an MCAP file that is not a session, such as a robot's bag."""
+"""Messages of a file that is not a session, such as a robot's bag."""
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -11,7 +13,7 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from cloth_sim_ros.session.errors import DamagedSessionError
+from cloth_sim_ros.session.errors import DamagedSessionError, SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 from cloth_sim_ros.session.mcap_scan import (
     DamagedRecordError,
@@ -22,16 +24,68 @@ from cloth_sim_ros.session.mcap_scan import (
     parse_record,
     read_body,
     read_chunk,
+    read_summary,
 )
 from cloth_sim_ros.session.opening import open_file
+
+#: Type of snapshots, and the end of their topics.
+SNAPSHOT_TYPE, SNAPSHOT_LEAF = "std_msgs/msg/UInt8MultiArray", "/snapshot"
+#: Number of messages of an unfinished file in which snapshots are searched.
+_MAX_PROBED_MESSAGES = 10_000
+#: Endings of the files of a bag: MCAP, and SQLite, the default of ROS 2 Humble.
+_SQLITE = ".db3"
+_ENDINGS = (".mcap", _SQLITE)
+
+
+def bag_files(path: Path) -> list[Path]:
+    """Return the files of a bag in the order of recording. `path`: its folder, or one of its files.
+
+    Raises:
+        SessionError: for a folder without such files.
+    """
+    if not path.is_dir():
+        return [path]
+    files = [file for file in path.iterdir() if file.suffix in _ENDINGS]
+    if not files:
+        raise SessionError(f"{path} is a folder without {' or '.join(_ENDINGS)} files: no bag is in it")
+    # Rosbag2 counts the files of a split bag: bag_0, bag_1, ... bag_10.
+    return sorted(files, key=lambda file: [int(part) for part in re.findall(r"\d+", file.stem)[-1:]])
+
+
+def is_bag(path: Path) -> bool:
+    """Return True for the folder or the file of a bag that holds snapshots of a cloth, and for any SQLite file."""
+    if path.is_dir():
+        return any(file.suffix in _ENDINGS and not file.is_dir() and is_bag(file) for file in path.iterdir())
+    if path.suffix == _SQLITE:
+        return True
+    try:
+        with open_file(path) as file:
+            summary = read_summary(file) if path.stat().st_size > len(MAGIC) else None
+            if summary is not None and summary.channels:
+                channels = ((entry.topic, summary.schemas.get(entry.schema_id)) for entry in summary.channels.values())
+                return any(is_snapshot(topic, schema.name) for topic, schema in channels if schema is not None)
+        first_messages = itertools.islice(bag_messages(path), _MAX_PROBED_MESSAGES)
+        return any(is_snapshot(topic, kind) for topic, kind, _, _ in first_messages)
+    except (SessionError, DamagedRecordError):
+        return False
+
+
+def is_snapshot(topic: str, type_name: str) -> bool:
+    """Return True for the topic of a cloth's snapshots."""
+    return topic.endswith(SNAPSHOT_LEAF) and type_name == SNAPSHOT_TYPE
 
 
 def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
     """Yield topic, type, log time [ns] and CDR bytes of each message with encoding `cdr`, in the order of the file.
 
+    A file that ends with .db3 is SQLite, any other one MCAP.
+
     Raises:
         SessionError: if the file cannot be read, or is damaged.
     """
+    if path.suffix == _SQLITE:
+        yield from _sqlite_messages(path)
+        return
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     with open_file(path) as file:
@@ -50,9 +104,42 @@ def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
             raise DamagedSessionError(f"{path} can't be read as MCAP: {error}; repair it first") from error
 
 
+def _sqlite_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
+    try:
+        from rosbags.rosbag2 import Reader
+    except ImportError as error:
+        raise SessionError(f"{path} needs {error.name}, which is not installed: pip install rosbags") from error
+
+    # Refuses pipes and devices.
+    open_file(path).close()
+    count = 0
+    try:
+        with Reader(path) as reader:
+            for connection, log_time, data in reader.messages():
+                topic, kind = connection.topic, connection.msgtype
+                # Columns of SQLite hold values of any type.
+                if not (isinstance(topic, str) and isinstance(kind, str) and isinstance(data, bytes | memoryview)):
+                    raise DamagedSessionError(f"{path} has a message whose topic, type or data is of a wrong type")
+                yield topic, kind, log_time, bytes(data)
+                count += 1
+    except SessionError:
+        raise
+    except Exception as error:  # Errors of several libraries.
+        error_class = DamagedSessionError if count else SessionError
+        raise error_class(f"{path} can't be read as a bag of SQLite: {error}") from error
+    log = path.with_name(f"{path.name}-wal")
+    if log.is_file() and log.stat().st_size:
+        raise DamagedSessionError(
+            f"{log} holds messages that are not read, because the recorder did not end: run "
+            f"`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
+        )
+
+
 def _records(file: BinaryIO) -> Iterator[Schema | Channel | RawMessage]:
     """Yield declarations and messages, in chunks or outside of them."""
     position = len(MAGIC)
+    if file.read(position) != MAGIC:
+        raise DamagedRecordError("it does not begin as one")
     while (location := locate_record(file, position)) is not None:
         position = location.end
         if location.opcode == Opcode.CHUNK:

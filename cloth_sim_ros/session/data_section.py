@@ -17,7 +17,8 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from cloth_sim_ros.session.errors import StrippedSessionError
+from cloth_sim_ros.session.bag import is_snapshot
+from cloth_sim_ros.session.errors import NotASessionError, StrippedSessionError
 from cloth_sim_ros.session.mcap_scan import (
     MESSAGE_HEADER_SIZE,
     RECORD_HEADER_SIZE,
@@ -159,8 +160,11 @@ def check_stripped(
         channels: message types by topic.
 
     Raises:
+        NotASessionError: for a bag with frames and snapshots.
         StrippedSessionError: if the file has the frames of a session but not its opening.
     """
+    if not metadata and any(is_snapshot(topic, kind) for topic, kind in channels.items()):
+        raise NotASessionError(f"{path} is a bag of another recorder; cloth_verify alone reads it")
     is_recorded = bool(metadata) or any(
         kind == _STRING and topic.endswith("/frame") and f"{topic[:-6]}/topology" in channels
         for topic, kind in channels.items()

@@ -16,6 +16,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cloth_sim_ros.session.cloud_points import CloudPoints
+
 CLOUD = "sensor_msgs/msg/PointCloud2"
 MESH = "shape_msgs/msg/Mesh"
 STRING = "std_msgs/msg/String"
@@ -27,7 +29,6 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 _LITTLE = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
-_FLOAT32, _FLOAT64 = 7, 8  # of sensor_msgs/PointField
 #: Packers of a time, and of 3, 6 and 7 doubles.
 _TIME = struct.Struct("<iI").pack
 _DOUBLES = {count: struct.Struct(f"<{count}d").pack for count in (3, 6, 7)}
@@ -40,22 +41,19 @@ class CloudEncoder:
         frame_id: coordinate frame.
         height: rows of a grid, or 1.
         width: columns of a grid, or the number of particles.
-        velocity: True to add velocities: fields vx, vy, vz [m/s].
-        double: True for double precision.
+        fields: further fields and precision, see `CloudPoints`.
     """
 
-    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False, double: bool = False) -> None:
-        names = ("x", "y", "z", "vx", "vy", "vz") if velocity else ("x", "y", "z")
-        length, datatype = (8, _FLOAT64) if double else (4, _FLOAT32)
-        size = length * len(names)
-        self._points = np.empty((height * width, len(names)), dtype=f"<f{length}")
+    def __init__(self, *, frame_id: str, height: int, width: int, **fields: bool) -> None:
+        self._points = points = CloudPoints(height * width, **fields)
         body = bytearray(8) + _encode_text(frame_id)
-        body = _pad(body, 4) + struct.pack("<III", height, width, len(names))
-        for index, name in enumerate(names):
+        body = _pad(body, 4) + struct.pack("<III", height, width, len(points.fields))
+        for name, offset, datatype in points.fields:
             body = _pad(body, 4) + _encode_text(name)
-            body = _pad(body, 4) + struct.pack("<IB", length * index, datatype)
+            body = _pad(body, 4) + struct.pack("<IB", offset, datatype)
             body = _pad(body, 4) + struct.pack("<I", 1)
-        body = _pad(body + b"\x00", 4) + struct.pack("<III", size, size * width, self._points.nbytes)
+        size = points.point_step
+        body = _pad(body + b"\x00", 4) + struct.pack("<III", size, size * width, points.size)
         self._constant_part = bytes(body[8:])
         # After the points: is_dense, padded to four bytes.
         self._trailer = b"\x01\x00\x00\x00"
@@ -65,12 +63,16 @@ class CloudEncoder:
         """Offset of the points in the message [bytes]."""
         return len(_LITTLE) + 8 + len(self._constant_part)
 
-    def encode(self, x: NDArray[np.float64], stamp: int, v: NDArray[np.float64] | None = None) -> bytes:
-        """Encode positions x [m] and, if the cloud has them, velocities v [m/s], both of shape (3, n)."""
-        self._points[:, :3] = x.T
-        if v is not None:
-            self._points[:, 3:] = v.T
-        return b"".join((_LITTLE, _encode_stamp(stamp), self._constant_part, self._points.data, self._trailer))
+    def encode(
+        self,
+        x: NDArray[np.float64],
+        stamp: int,
+        v: NDArray[np.float64] | None = None,
+        normals: NDArray[np.float64] | None = None,
+    ) -> bytes:
+        """Encode positions x [m] and, if the cloud has them, velocities v [m/s] and normals, all of shape (3, n)."""
+        data = self._points.write(x, v, normals)
+        return b"".join((_LITTLE, _encode_stamp(stamp), self._constant_part, data, self._trailer))
 
 
 def mesh_bytes(triangles: ArrayLike, vertices: ArrayLike) -> bytes:

@@ -16,7 +16,7 @@ from cloth_sim_ros.session.errors import RecordingError
 from cloth_sim_ros.session.storage import AppendFile, make_folder, remove_leftovers
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.session.mcap_builder import Compression
+    from cloth_sim_ros.session.mcap_builder import Compression, McapBuilder
 
 FORMAT_VERSION = "1"
 METADATA_NAME = "cloth_sim"
@@ -90,8 +90,6 @@ class SessionWriter:
         `log_time` [ns since the epoch]: time of the snapshot. `session`: identifier that the files of a split session
         share (by default `stem`). Raises RecordingError or OSError if the file cannot be created.
         """
-        from mcap.records import Attachment, Metadata
-
         from cloth_sim_ros.session.mcap_builder import McapBuilder
 
         self._options = options or WriterOptions()
@@ -106,20 +104,7 @@ class SessionWriter:
         folder = Path(folder)
         make_folder(folder)
         remove_leftovers(folder, SUFFIX)
-        metadata = {**snapshot.metadata, "format": FORMAT_VERSION, "session": session or stem, "part": str(part)}
-        metadata["checksum"] = metadata_checksum(metadata)
-        opening = self._builder.encode_opening(
-            library="cloth_sim_ros",
-            metadata=[Metadata(name=METADATA_NAME, metadata=metadata)],
-            attachments=[
-                Attachment(create_time=log_time, log_time=log_time, name=name, media_type=media_type, data=data)
-                for name, media_type, data in (
-                    (SCENE_NAME, "application/yaml", snapshot.scene_yaml.encode()),
-                    (STATE_NAME, "application/octet-stream", snapshot.state),
-                    *((FILE_PREFIX + name, "application/octet-stream", data) for name, data in snapshot.files.items()),
-                )
-            ],
-        )
+        opening = encode_opening(self._builder, snapshot, session=session or stem, part=part, log_time=log_time)
         self._file = open_file(folder, f"{stem}_{part:03d}", SUFFIX)
         try:
             self._file.append([opening])
@@ -250,6 +235,34 @@ class SessionWriter:
                 f"{free_bytes // 1_000_000} MB are left on the disk of {self.path.parent}, record.least_free_space is "
                 f"{min_free // 1_000_000} MB; make room or lower it"
             )
+
+
+def encode_opening(builder: McapBuilder, snapshot: SessionSnapshot, *, session: str, part: int, log_time: int) -> bytes:
+    """Encode the opening of a file: its header, metadata and attachments.
+
+    Args:
+        builder: encoder of the file.
+        snapshot: the contents.
+        session: identifier that the files of a split session share.
+        part: index of the file in its session.
+        log_time: time of the snapshot [ns since the epoch].
+    """
+    from mcap.records import Attachment, Metadata
+
+    metadata = {**snapshot.metadata, "format": FORMAT_VERSION, "session": session, "part": str(part)}
+    metadata["checksum"] = metadata_checksum(metadata)
+    return builder.encode_opening(
+        library="cloth_sim_ros",
+        metadata=[Metadata(name=METADATA_NAME, metadata=metadata)],
+        attachments=[
+            Attachment(create_time=log_time, log_time=log_time, name=name, media_type=media_type, data=data)
+            for name, media_type, data in (
+                (SCENE_NAME, "application/yaml", snapshot.scene_yaml.encode()),
+                (STATE_NAME, "application/octet-stream", snapshot.state),
+                *((FILE_PREFIX + name, "application/octet-stream", data) for name, data in snapshot.files.items()),
+            )
+        ],
+    )
 
 
 def metadata_checksum(metadata: Mapping[str, str]) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cloth_sim_ros.physics.model.sheets.normals import vertex_normals
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session import messages
@@ -78,11 +79,11 @@ class RunRecording:
         self._writer.declare(f"{NODE}/topology", messages.MESH, Qos(durability="transient_local", depth=1))
         sheet = scene.sheet
         self._add(f"{NODE}/topology", messages.MESH, messages.mesh_bytes(sheet.triangles(), sheet.positions()))
-        self._velocity = scene.points.velocity
+        self._fields, self._triangles = scene.points, sheet.triangles()
         self._cloud: messages.CloudEncoder | None = None
         if clouds:
             rows, columns = scene.shape
-            fields = {"velocity": self._velocity, "double": scene.points.double}
+            fields = self._fields.fields
             self._cloud = messages.CloudEncoder(frame_id=self._frame_id, height=rows, width=columns, **fields)
 
     @property
@@ -115,8 +116,9 @@ class RunRecording:
             record["extras"] = extras
         cloud = None
         if self._cloud is not None:
-            state = simulation.state
-            cloud = self._cloud.encode(state.x, stamp, state.v if self._velocity else None)
+            state, fields = simulation.state, self._fields
+            normals = vertex_normals(state.x, self._triangles) if fields.normal else None
+            cloud = self._cloud.encode(state.x, stamp, state.v if fields.velocity else None, normals)
         wrenches = frame.wrenches.tolist()
         if len(frame.obstacle_wrenches):
             wrenches += frame.obstacle_wrenches.tolist()

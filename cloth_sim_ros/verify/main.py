@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Command `cloth_verify`: re-run and comparison of recorded sessions.
+"""Command `cloth_verify`: re-run and comparison of recorded sessions and bags.
 
 With `--accuracy` it also measures their accuracy.
 """
@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cloth_sim_ros.session.bag import is_bag
 from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.output_files import OutputError, atomic_write, check_outputs
@@ -44,12 +45,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     escape_unencodable()
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
-        description="Run recorded sessions again from their own snapshots and events, and compare every message. "
+        description="Run recorded sessions and bags again from their snapshots and events, and compare every message. "
         "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read, or holds no frames; "
         "3: recorded with other arithmetic, and nothing differs that this does not explain; "
         "4: with --accuracy, a window without flagged frames violates its error bound, or may do so.",
     )
-    files = "session.mcap, one or more; files of a split session together, in order"
+    files = (
+        "session.mcap, one or more, files of a split session together, in order; or the folder or file of a bag of "
+        "ros2 bag record that holds ~/frame and ~/snapshot"
+    )
     parser.add_argument("session", nargs="+", type=Path, help=files)
     _add_accuracy(parser)
     options = parser.parse_args(arguments)
@@ -59,17 +63,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     status = SAME
     try:
         for paths in sessions:
+            certificate = None
             try:
-                verdict, certificate = _certify(paths, options) if options.accuracy else (_verify(paths), None)
+                if is_bag(paths[0]):
+                    verdicts = _verify_bag(paths[0], options)
+                elif options.accuracy:
+                    verdict, certificate = _certify(paths, options)
+                    verdicts = [verdict]
+                else:
+                    verdicts = [_verify(paths)]
             except SessionError as error:
                 print(f"cloth_verify: {error}", file=sys.stderr)
                 status = UNREADABLE
                 continue
-            print(describe(verdict), flush=True)
-            status = max(status, status_of(verdict), key=_SEVERITY.index)
-            if certificate is not None:
-                status = max(status, SAME if certificate.is_satisfied else BOUND_VIOLATED, key=_SEVERITY.index)
-                _write_certificate(certificate, verdict, options)
+            for verdict in verdicts:
+                print(describe(verdict), flush=True)
+                status = max(status, status_of(verdict), key=_SEVERITY.index)
+                if certificate is not None:
+                    status = max(status, SAME if certificate.is_satisfied else BOUND_VIOLATED, key=_SEVERITY.index)
+                    _write_certificate(certificate, verdict, options)
     except KeyboardInterrupt:
         return 130
     except OSError as error:
@@ -197,6 +209,23 @@ def _verify(paths: Sequence[Path]) -> Verdict:
     total = sum(path.stat().st_size for path in paths if path.is_file())
     with tqdm(total=total, unit="B", unit_scale=True, desc="verify", delay=1.0, disable=None, leave=False) as bar:
         return verify(paths, on_progress=lambda read: bar.update(max(read - bar.n, 0)))
+
+
+def _verify_bag(path: Path, options: argparse.Namespace) -> list[Verdict]:
+    from tqdm import tqdm
+
+    from cloth_sim_ros.verify.bag import verify_bag
+
+    if options.accuracy:
+        raise SessionError(f"{path} is a bag; --accuracy takes a session, which the node records with record.enabled")
+    with tqdm(unit="frame", desc="verify", delay=1.0, disable=None, leave=False) as bar:
+        verdicts = verify_bag(path, on_frame=bar.update)
+    if not verdicts:
+        raise SessionError(
+            f"{path} is a bag without frames of a cloth; start the node with record.topics: true, so that it publishes "
+            "~/frame and ~/snapshot, and record both"
+        )
+    return verdicts
 
 
 def _certify(paths: Sequence[Path], options: argparse.Namespace) -> tuple[Verdict, Certificate]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.normals import vertex_normals
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.sections import PointsParameters
 from cloth_sim_ros.session import messages
@@ -63,6 +64,7 @@ class CloudCheck:
 
     def __init__(self, scene: Scene, findings: Findings) -> None:
         self._frame_id, self._shape, self._findings = scene.frame_id, scene.shape, findings
+        self._triangles = scene.sheet.triangles()
         #: Fields of the first scene: a study keeps them; a node follows the current scene.
         self._first_fields = scene.points
         self._encoders: dict[PointsParameters, messages.CloudEncoder] = {}
@@ -74,7 +76,8 @@ class CloudCheck:
         state, fields = simulation.state, simulation.scene.points
         for points in dict.fromkeys((fields, self._first_fields)):
             encoder = self._encoder(points)
-            expected = encoder.encode(state.x, stamp, state.v if points.velocity else None)
+            normals = vertex_normals(state.x, self._triangles) if points.normal else None
+            expected = encoder.encode(state.x, stamp, state.v if points.velocity else None, normals)
             if self._is_same(message.data, expected, encoder.points_offset):
                 return True
         try:
@@ -93,7 +96,9 @@ class CloudCheck:
                 reason = f"its cloud, by the velocity of particle {differing[0]}"
                 self._findings.difference("cloud", reason, rounding=True)
                 return True
-        self._findings.difference("cloud", "its cloud, by the layout of its points")
+        # Normals follow from positions before their rounding.
+        kind = "normals" if fields.normal else "layout of its points"
+        self._findings.difference("cloud", f"its cloud, by the {kind}", rounding=fields.normal)
         return True
 
     def _is_same(self, recorded: bytes, expected: bytes, start: int) -> bool:
@@ -117,8 +122,7 @@ class CloudCheck:
     def _encoder(self, points: PointsParameters) -> messages.CloudEncoder:
         if points not in self._encoders:
             height, width = self._shape
-            fields = {"velocity": points.velocity, "double": points.double}
-            encoder = messages.CloudEncoder(frame_id=self._frame_id, height=height, width=width, **fields)
+            encoder = messages.CloudEncoder(frame_id=self._frame_id, height=height, width=width, **points.fields)
             self._encoders[points] = encoder
         return self._encoders[points]
 
@@ -178,10 +182,15 @@ def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int
         findings.difference("wrench", reason, rounding=True)
 
 
+def is_topology_of(message: Message, scene: Scene) -> bool:
+    """Return True if a recorded topology is that of a scene."""
+    return same_bytes(message.data, messages.mesh_bytes(scene.sheet.triangles(), scene.sheet.positions()))
+
+
 def compare_topology(message: Message, scene: Scene, findings: Findings) -> None:
     """Compare the recorded triangles and rest shape with the scene's."""
     triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()
-    if same_bytes(message.data, messages.mesh_bytes(triangles, rest_positions)):
+    if is_topology_of(message, scene):
         return
     try:
         recorded = decode_mesh(message.data)

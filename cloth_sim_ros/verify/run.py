@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +31,11 @@ from cloth_sim_ros.verify.declarations import compare_declarations
 from cloth_sim_ros.verify.diagnostics import TOPIC as DIAGNOSTICS
 from cloth_sim_ros.verify.diagnostics import DiagnosticsCheck
 from cloth_sim_ros.verify.frame_outputs import FrameOutputCheck
+from cloth_sim_ros.verify.frame_records import compare_record
 from cloth_sim_ros.verify.verdict import Findings, FramePosition, Verdict
 
 __all__ = ["RunObserver", "Verdict", "verify"]
 
-#: Parts of a frame record that other arithmetic can change.
-_ROUNDING_AFFECTED = frozenset({"the digest of its state", "its steps", "its integrator"})
-#: Entries of a frame record's extras from `Frame.extras`.
-_FRAME_EXTRAS = frozenset({"poses", "halted"})
 #: Topics that the node shares with others, with their description.
 _SHARED = {"/rosout": "texts of the log", "/parameter_events": "changes of parameters, as the node announced them"}
 #: Reasons of an end after a complete frame; after any other end, the last frame may lack messages.
@@ -233,7 +229,7 @@ class _SessionRun:
         # Messages of a frame share its publish time; a log time may be raised to keep the order of recording.
         stamp = message.publish_time
         verdict.simulated += simulation.time - start_time
-        self._compare_frame(record, frame)
+        compare_record(record, frame, simulation, self._findings, topic=self._frame_topic, labels={"stamp": stamp})
         if self._observer is not None:
             self._observer.frame(simulation, scene, before, frame, record)
         assert self._commands is not None
@@ -242,49 +238,6 @@ class _SessionRun:
         self._diagnostics.observe_frame(frame, simulation)
         self._frame_outputs.open_frame(frame, stamp)
         return True
-
-    def _compare_frame(self, record: FrameRecord, frame: Frame) -> None:
-        simulation = self.simulation
-        steps = frame.advance.steps if frame.advance else 0
-        compared = (
-            ("its number", record.frame, frame.index),
-            ("its time", record.time, frame.time),
-            ("whether it is paused", record.paused, simulation.paused),
-            ("its tolerance", record.tolerance, frame.tolerance),
-            ("the digest of its state", record.digest, simulation.state.digest()),
-            ("its steps", record.steps, steps),
-            ("its integrator", record.integrator, frame.integrator),
-        )
-        for quantity, recorded, rerun in compared:
-            if recorded != rerun:
-                reason = f"{quantity} ({recorded} was recorded, {rerun} came out)"
-                self._findings.difference("frame", reason, rounding=quantity in _ROUNDING_AFFECTED)
-                return
-        self._compare_extras(record, frame)
-
-    def _compare_extras(self, record: FrameRecord, frame: Frame) -> None:
-        energy, expected = self.simulation.energy_report, frame.extras()
-        for key in (*expected, *(("energy",) if energy is not None else ())):
-            if key not in record.extras:  # older sessions have no such entries
-                self._findings.not_compared(self._frame_topic, f"'{key}', absent from the record")
-        for key, recorded in record.extras.items():
-            rerun: Any
-            if key in _FRAME_EXTRAS:
-                rerun = expected.get(key)
-                is_wrong = recorded != rerun
-            elif key == "flagged":
-                rerun = frame.advance.flagged if frame.advance else 0
-                is_wrong = recorded != rerun
-            elif key == "energy" and energy is not None:
-                rerun = energy.total
-                is_number = isinstance(recorded, float)
-                is_wrong = not is_number or not math.isclose(recorded, rerun, rel_tol=1e-9, abs_tol=1e-12)
-            else:
-                self._findings.not_compared(self._frame_topic, f"'{key}' of the record")
-                continue
-            if is_wrong:
-                reason = f"its {key} ({recorded} was recorded, {rerun} came out)"
-                self._findings.difference("frame", reason, rounding=True)
 
     def _observe_cloud(self, message: Message, is_same: bool) -> None:
         if self._observer is not None:

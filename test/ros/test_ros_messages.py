@@ -13,6 +13,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.ros.io.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
+from cloth_sim_ros.session.messages import CloudEncoder
 
 STAMP = 12_345_678_901
 X = np.arange(18.0).reshape(3, 6) / 7.0
@@ -47,6 +48,16 @@ def test_cloud_with_velocities() -> None:
     ]  # fmt: skip
     points = np.frombuffer(bytes(message.data), "<f4").reshape(-1, 6)
     np.testing.assert_array_equal(points, np.concatenate([X.T, X.T - 1.0], axis=1).astype(np.float32))
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_cloud_is_that_of_the_encoder_without_ros(double: bool) -> None:
+    fields = {"velocity": True, "normal": True, "ids": True, "double": double}
+    expected = CloudEncoder(frame_id="world", height=2, width=3, **fields).encode(X, STAMP, X - 1.0, X + 1.0)
+    cloud = CloudMessage(frame_id="world", height=2, width=3, **fields)
+    data = cloud.serialized(X, STAMP, X - 1.0, X + 1.0)
+    assert len(data) == len(expected)
+    assert deserialize_message(data, PointCloud2) == deserialize_message(expected, PointCloud2)
 
 
 def test_cloud_in_double_precision() -> None:

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rosbags")
 
 from cloth_sim_ros.session import messages
-from cloth_sim_ros.session.cdr import decode, encode, message_class
+from cloth_sim_ros.session.cdr import decode, decode_cloud, encode, message_class
 
 STAMP = 1_800_000_000_123_456_789
 
@@ -32,6 +32,30 @@ def test_cloud_bytes_equal_generic_writer(frame_id: str, velocity: bool, double:
     values = read.data.view("<f8" if double else "<f4").reshape(6, -1)
     assert np.array_equal(values[:, :3], x.T.astype(values.dtype))
     assert not velocity or np.array_equal(values[:, 3:], v.T.astype(values.dtype))
+
+
+@pytest.mark.parametrize("velocity", [False, True])
+@pytest.mark.parametrize("double", [False, True])
+def test_normals_and_ids_follow_the_velocities(velocity: bool, double: bool) -> None:
+    x, v, n = np.random.default_rng(0).normal(size=(3, 3, 6))
+    encoder = messages.CloudEncoder(
+        frame_id="world", height=2, width=3, velocity=velocity, normal=True, ids=True, double=double
+    )
+    encoder.encode(x + 1.0, STAMP, v if velocity else None, n)
+    content = encoder.encode(x, STAMP, v if velocity else None, n)
+    read = decode(content, messages.CLOUD)
+    again = encode(read, messages.CLOUD)
+    assert content[: len(again)] == again
+    names = ["x", "y", "z", *(["vx", "vy", "vz"] if velocity else []), "normal_x", "normal_y", "normal_z", "id"]
+    assert [field.name for field in read.fields] == names
+    points = np.frombuffer(
+        read.data.tobytes(), [(name, ("<u4" if name == "id" else "<f8" if double else "<f4")) for name in names]
+    )
+    assert points["id"].tolist() == [0, 1, 2, 3, 4, 5]
+    vectors = np.concatenate([x, v, n] if velocity else [x, n])
+    for name, row in zip(names[:-1], vectors, strict=True):
+        assert np.array_equal(points[name], row.astype(points[name].dtype))
+    assert np.array_equal(decode_cloud(content).xyz, x.T.astype("<f8" if double else "<f4"))
 
 
 @pytest.mark.parametrize("frame_id", ["", "world", "map"])

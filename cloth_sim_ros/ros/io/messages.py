@@ -18,6 +18,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.session.cloud_points import CloudPoints
 
 #: One second [ns].
 SECOND = 1_000_000_000
@@ -32,39 +33,35 @@ class CloudMessage:
         frame_id: coordinate frame.
         height: rows of a grid, or 1.
         width: columns of a grid, or the number of particles.
-        velocity: true for additional fields vx, vy, vz [m/s].
-        double: true for fields in double precision.
+        fields: further fields and precision, see `CloudPoints`.
     """
 
-    def __init__(self, *, frame_id: str, height: int, width: int, velocity: bool = False, double: bool = False) -> None:
-        names = ("x", "y", "z", "vx", "vy", "vz") if velocity else ("x", "y", "z")
-        length, datatype = (8, PointField.FLOAT64) if double else (4, PointField.FLOAT32)
-        size = length * len(names)
+    def __init__(self, *, frame_id: str, height: int, width: int, **fields: bool) -> None:
+        self._points = points = CloudPoints(height * width, **fields)
+        size = points.point_step
         message = PointCloud2(height=height, width=width, point_step=size, row_step=size * width, is_dense=True)
         message.fields = [
-            PointField(name=name, offset=length * index, datatype=datatype, count=1) for index, name in enumerate(names)
+            PointField(name=name, offset=offset, datatype=datatype, count=1) for name, offset, datatype in points.fields
         ]
         message.header.frame_id = frame_id
-        self._points = np.empty((height * width, len(names)), dtype=f"<f{length}")
         # The row step is followed by the number of bytes, the bytes, and is_dense. Before it only the stamp changes.
         start = bytes(serialize_message(message))[len(CDR) + 8 : -5]
-        self._middle = start + struct.pack("<I", self._points.nbytes)
+        self._middle = start + struct.pack("<I", points.size)
         # Padded to a multiple of four as on the wire: recorded and received bytes are identical.
         self._end = aligned(b"\x01", 4)
 
-    def serialized(self, x: Array, stamp: int, v: Array | None = None) -> bytes:
-        """Return the CDR bytes for positions x [m] and, with velocity fields, v [m/s], shapes (3, n).
+    def serialized(self, x: Array, stamp: int, v: Array | None = None, normals: Array | None = None) -> bytes:
+        """Return the CDR bytes for positions x [m] and, if the cloud has their fields, v [m/s] and normals.
 
         Args:
-            x: positions.
+            x: positions, shape (3, n).
             stamp: ROS time [ns].
-            v: velocities; required if the cloud has velocity fields.
+            v: velocities, likewise; required if the cloud has velocity fields.
+            normals: unit normals, likewise; required if the cloud has normal fields.
         """
-        self._points[:, :3] = x.T
-        if v is not None:
-            self._points[:, 3:] = v.T
+        data = self._points.write(x, v, normals)
         head = CDR + struct.pack("<iI", *divmod(stamp, SECOND))
-        return b"".join((head, self._middle, self._points.data, self._end))
+        return b"".join((head, self._middle, data, self._end))
 
 
 def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:

@@ -81,9 +81,14 @@ class Output:
         self.topic = node.resolve_topic_name(topic, only_expand=True)
 
     @property
+    def subscription_count(self) -> int:
+        """Number of subscribers."""
+        return int(self._publisher.get_subscription_count())
+
+    @property
     def has_subscribers(self) -> bool:
         """True if the topic has subscribers."""
-        return bool(self._publisher.get_subscription_count())
+        return bool(self.subscription_count)
 
     @property
     def has_consumers(self) -> bool:

@@ -7,6 +7,8 @@ Messages are built only for subscribers or a recording, and serialized once for 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -14,6 +16,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.normals import vertex_normals
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
 from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
@@ -23,7 +26,11 @@ from cloth_sim_ros.ros.io.tf_broadcaster import TfBroadcaster
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.cloth_clock import ClothClock
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.sections import PointsParameters
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.io.ground_truth import CoverageTopic, KeypointTopic
 
 #: Publication period of a paused cloth [s]: late subscribers receive it, and recordings stay small.
 _PAUSED_PERIOD = 1.0
@@ -37,8 +44,9 @@ class ClothTopics:
         sheet = scene.sheet
         triangles = sheet.triangles()
         self._frame_id = scene.frame_id
-        # By velocity and double precision; built on first use.
-        self._clouds: dict[tuple[bool, bool], CloudMessage] = {}
+        self._triangles = triangles
+        # By fields; built on first use.
+        self._clouds: dict[PointsParameters, CloudMessage] = {}
         self.marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
         self.points = Output(node, PointCloud2, "~/points", sink, qos=NEWEST_QOS, droppable=True)
         self.mesh = Output(node, Marker, "~/mesh", sink, qos=NEWEST_QOS, droppable=True)
@@ -57,21 +65,20 @@ class ClothTopics:
         """Record the topology at the start of a recording, at a ROS time [ns]."""
         self._topology.record(self._topology_bytes, stamp)
 
-    def send(
-        self, x: Array, wrenches: Array, stamp: int, *, velocities: Array | None = None, double: bool = False
-    ) -> None:
+    def send(self, x: Array, wrenches: Array, stamp: int, *, velocities: Array, fields: PointsParameters) -> None:
         """Publish and record one frame.
 
         Args:
             x: positions [m], shape (3, n).
             wrenches: force [N] and torque [N m] on each gripper, shape (gripper_count, 6).
             stamp: ROS time at which the frame was due [ns].
-            velocities: velocities [m/s], shape (3, n), if the cloud has velocity fields.
-            double: true for a cloud in double precision.
+            velocities: velocities [m/s], shape (3, n).
+            fields: fields of the cloud.
         """
         if self.points.has_consumers:
-            cloud = self._cloud(velocity=velocities is not None, double=double)
-            self.points.send(cloud.serialized(x, stamp, velocities), stamp)
+            normals = vertex_normals(x, self._triangles) if fields.normal else None
+            cloud = self._cloud(fields).serialized(x, stamp, velocities if fields.velocity else None, normals)
+            self.points.send(cloud, stamp)
             self.published += 1
         # Not recorded, because it is large and follows from points and topology.
         if self.mesh.has_subscribers:
@@ -80,14 +87,11 @@ class ClothTopics:
             if output.has_consumers:
                 output.send(wrench_message(wrench, frame_id=self._frame_id, stamp=stamp), stamp)
 
-    def _cloud(self, *, velocity: bool, double: bool) -> CloudMessage:
-        key = velocity, double
-        if key not in self._clouds:
+    def _cloud(self, fields: PointsParameters) -> CloudMessage:
+        if fields not in self._clouds:
             height, width = self._shape
-            self._clouds[key] = CloudMessage(
-                frame_id=self._frame_id, height=height, width=width, velocity=velocity, double=double
-            )
-        return self._clouds[key]
+            self._clouds[fields] = CloudMessage(frame_id=self._frame_id, height=height, width=width, **fields.fields)
+        return self._clouds[fields]
 
     def flush(self) -> None:
         """Wait at most 0.2 s until subscribers have received the last points."""
@@ -114,6 +118,12 @@ class Outputs:
         self.states = States(node, simulation, sink)
         self.transforms = TfBroadcaster(node, simulation, sink)
         self.obstacles = ObstacleTopics(node, simulation, commands, sink, log)
+        #: Topics of ground truth, if the scene asks for any.
+        self.ground_truth: list[KeypointTopic | CoverageTopic] = []
+        if any(simulation.scene.keypoints) or simulation.scene.coverage.obstacle:
+            from cloth_sim_ros.ros.io.ground_truth import ground_truth_topics
+
+            self.ground_truth = ground_truth_topics(node, simulation, sink)
         #: Steady time of the last frame that was due [s]; None before the first.
         self._last_published: float | None = None
 
@@ -132,13 +142,15 @@ class Outputs:
 
     def send(self, frame: Frame, stamp: int) -> None:
         """Publish and record a frame that was due at a ROS time [ns]."""
-        state, points = self._simulation.state, self._simulation.scene.points
-        velocities = state.v if points.velocity else None
-        self.cloth.send(state.x, frame.wrenches, stamp, velocities=velocities, double=points.double)
+        state = self._simulation.state
+        fields = self._simulation.scene.points
+        self.cloth.send(state.x, frame.wrenches, stamp, velocities=state.v, fields=fields)
         self.states.show(frame, stamp)
         self.clock.send(frame.time)
         self.obstacles.send(frame, stamp)
         self.transforms.send(stamp)
+        for topic in self.ground_truth:
+            topic.send(stamp)
 
     def record_latched(self, stamp: int) -> None:
         """Record the latched messages at the start of a recording, at a ROS time [ns]."""

@@ -54,6 +54,9 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
     out += [f"~/{name}/wrench" for name in scene.described]
+    out += ["~/frame", "~/snapshot"] if scene.record.topics else []
+    out += ["~/keypoints"] if any(scene.keypoints) else []
+    out += ["~/coverage"] if scene.coverage.obstacle else []
     into = [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("target", "point", "grasp")]
     into += [f"~/{name}/target" for name in scene.described]
     return {PUBLISHER: out, SUBSCRIPTION: into}

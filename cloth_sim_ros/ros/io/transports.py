@@ -90,7 +90,8 @@ def _output_bytes(parameters: Mapping[str, Any]) -> tuple[int, int, float]:
                 # A bound from the file's size, because reading the file twice would delay the first cloud.
                 particles = os.stat(name).st_size // _FILE_BYTES_A_PARTICLE
                 triangles = 2 * particles
-    point_bytes = (6 if value("points.velocity") else 3) * (8 if value("points.double") else 4)
+    vector_count = 1 + value("points.velocity") + value("points.normal")
+    point_bytes = 3 * vector_count * (8 if value("points.double") else 4) + 4 * value("points.id")
     return particles * point_bytes, triangles * 72, float(value("rate"))
 
 

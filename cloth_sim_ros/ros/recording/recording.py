@@ -19,6 +19,7 @@ from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.ros.recording.bag_topics import BagTopics
     from cloth_sim_ros.scene.sections import RecordParameters as RecordSettings
     from cloth_sim_ros.session.recorder import Recorder, RecorderStatus
     from cloth_sim_ros.session.writer import SessionSnapshot
@@ -61,6 +62,8 @@ class SessionRecording:
         self._pending: list[Callable[[Recorder], object]] | None = None
         #: Entries of the next frame record besides its own, by name.
         self.extras: dict[str, Any] = {}
+        #: Topics for bags; None without `record.topics`.
+        self.bag_topics: BagTopics | None = None
         #: The missing library if a recording failed to start because of it; otherwise empty.
         self.missing = ""
 
@@ -116,7 +119,7 @@ class SessionRecording:
         try:
             return Recorder(
                 _folder(settings),
-                snapshot=self._snapshot(),
+                snapshot=self.snapshot(),
                 log_time=stamp,
                 stem=session_stem(self._stem, datetime.datetime.now(datetime.UTC)),
                 options=RecorderOptions(writer=writer, split_bytes=settings.split),
@@ -207,10 +210,15 @@ class SessionRecording:
         return self._last
 
     def before_frame(self, stamp: int) -> None:
-        """Start a new file if the present one has reached its size limit; end the recording if memory runs out."""
+        """Begin a frame at a ROS time [ns]: start a new file if the present one has reached its size limit.
+
+        The recording ends if memory runs out.
+        """
+        if self.bag_topics is not None:
+            self.bag_topics.before_frame(stamp)
         if self._recorder is not None and self._recorder.wants_split:
             try:
-                snapshot = self._snapshot()
+                snapshot = self.snapshot()
             except (OSError, MemoryError) as error:
                 self._recorder.fail(f"cannot begin the next file: {getattr(error, 'strerror', None) or _NO_MEMORY}")
             else:
@@ -227,6 +235,8 @@ class SessionRecording:
     def discard(self) -> None:
         """Drop the records of a frame that failed."""
         self._pending = None
+        if self.bag_topics is not None:
+            self.bag_topics.restart()
 
     def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
         """Record a message's bytes at a ROS time [ns]."""
@@ -234,10 +244,12 @@ class SessionRecording:
             self._record(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
 
     def add_frame(self, frame: Frame, stamp: int) -> None:
-        """Record a frame at a ROS time [ns], before its messages."""
+        """Record a frame at a ROS time [ns], and publish its record if ~/frame has subscribers; before its messages."""
         extras, self.extras = self.extras, {}
-        if self._recorder is None:
+        labels = {} if self.bag_topics is None else self.bag_topics.next_labels(stamp)
+        if self._recorder is None and not labels:
             return
+        extras |= labels
         if (energy := self._simulation.energy_report) is not None:
             extras |= {"energy": energy.total, "energy balance": energy.residual}
         from cloth_sim_ros.session.cdr import encode_string
@@ -254,9 +266,10 @@ class SessionRecording:
             paused=self._simulation.paused,
             extras=extras | frame.extras(),
         )
-        self._record(
-            f"{self._node_name}/frame", _FRAME_TYPE, encode_string(record.to_json()), log_time=stamp, droppable=False
-        )
+        data = encode_string(record.to_json())
+        if self.bag_topics is not None and labels:
+            self.bag_topics.publish(data)
+        self._record(f"{self._node_name}/frame", _FRAME_TYPE, data, log_time=stamp, droppable=False)
 
     def _record(self, *message: Any, **options: Any) -> None:
         if self._recorder is None:
@@ -301,7 +314,8 @@ class SessionRecording:
             ) from error
         return path
 
-    def _snapshot(self) -> SessionSnapshot:
+    def snapshot(self) -> SessionSnapshot:
+        """Return the parameters and the state between two frames."""
         from cloth_sim_ros.session.writer import SessionSnapshot
 
         return SessionSnapshot(

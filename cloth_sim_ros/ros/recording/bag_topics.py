@@ -1,0 +1,91 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics ~/frame and ~/snapshot, from which `cloth_verify` runs a bag again.
+
+A session's recorder takes the snapshot itself. The recorder of a bag only subscribes, at any moment, and may lose
+messages. Each frame record therefore has a number, and snapshots are repeated.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String, UInt8MultiArray
+
+from cloth_sim_ros.ros.io.output import LATCHED_QOS, Output, RecordSink
+from cloth_sim_ros.ros.recording.recording import RecordingNotInstalledError
+from cloth_sim_ros.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.session.writer import SessionSnapshot
+
+#: Deep, because a lost frame record ends the part of the bag that can be run again.
+_FRAME_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class BagTopics:
+    """Publishes snapshots and frame records while ~/frame has subscribers.
+
+    Args:
+        node: the node.
+        simulation: the cloth.
+        sink: records other outputs; the recorder of sessions adds the frame records itself.
+        snapshot: returns the parameters and the state.
+
+    Raises:
+        RecordingNotInstalledError: if a library of sessions is missing.
+    """
+
+    def __init__(
+        self, node: Node, simulation: Simulation, sink: RecordSink, snapshot: Callable[[], SessionSnapshot]
+    ) -> None:
+        try:
+            from cloth_sim_ros.session.snapshot_message import snapshot_bytes
+        except ImportError as error:
+            raise RecordingNotInstalledError(
+                f"record.topics needs {error.name}, which is not installed: pip install mcap; there is no ~/frame and "
+                "no ~/snapshot"
+            ) from error
+        self._simulation, self._take_snapshot, self._encode = simulation, snapshot, snapshot_bytes
+        self._next_snapshot = 0
+        self.restart()
+        # The libraries of the first snapshot must not delay a frame.
+        self._snapshot_bytes(0)
+        self._frames = Output(node, String, "~/frame", sink, qos=_FRAME_QOS)
+        self._snapshots = Output(node, UInt8MultiArray, "~/snapshot", sink, qos=LATCHED_QOS)
+
+    def restart(self) -> None:
+        """Begin with new numbers and a snapshot: a frame may have failed after its record was published."""
+        self._session, self._sequence, self._subscription_count = secrets.token_hex(8), 0, 0
+
+    def before_frame(self, stamp: int) -> None:
+        """Publish the snapshot before a frame at a ROS time [ns], if it is due: for new subscribers, and in between."""
+        known, self._subscription_count = self._subscription_count, self._frames.subscription_count
+        if not self._subscription_count:
+            return
+        scene = self._simulation.scene
+        period = scene.record.snapshot_period
+        if self._subscription_count > known or (period and self._sequence >= self._next_snapshot):
+            self._next_snapshot = self._sequence + math.ceil(period * scene.rate)
+            self._snapshots.publish(self._snapshot_bytes(stamp))
+
+    def next_labels(self, stamp: int) -> dict[str, Any]:
+        """Count the record of the frame due at a ROS time [ns]; return the entries that place it in a bag.
+
+        Without subscribers there are none, and the record is not published.
+        """
+        labels = {"session": self._session, "sequence": self._sequence, "stamp": stamp}
+        self._sequence += 1
+        return labels if self._subscription_count else {}
+
+    def publish(self, record: bytes) -> None:
+        """Publish the bytes of a frame record."""
+        self._frames.publish(record)
+
+    def _snapshot_bytes(self, stamp: int) -> bytes:
+        return self._encode(self._take_snapshot(), session=self._session, sequence=self._sequence, stamp=stamp)

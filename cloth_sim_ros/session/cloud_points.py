@@ -1,0 +1,59 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Points of a sensor_msgs/PointCloud2: fields and bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Data types of sensor_msgs/PointField.
+_UINT32, _FLOAT32, _FLOAT64 = 6, 7, 8
+
+
+class CloudPoints:
+    """Bytes of the points of one cloud, written frame after frame.
+
+    Args:
+        count: number of points.
+        velocity: True for fields vx, vy, vz [m/s].
+        normal: True for fields normal_x, normal_y, normal_z.
+        ids: True for a field id, the index of the point.
+        double: True for double precision, except of ids.
+    """
+
+    def __init__(
+        self, count: int, *, velocity: bool = False, normal: bool = False, ids: bool = False, double: bool = False
+    ) -> None:
+        length, datatype = (8, _FLOAT64) if double else (4, _FLOAT32)
+        vectors = ["x", "y", "z"] + ["vx", "vy", "vz"] * velocity + ["normal_x", "normal_y", "normal_z"] * normal
+        #: Name, offset [bytes] and data type of each field.
+        self.fields = [(name, length * index, datatype) for index, name in enumerate(vectors)]
+        offset = length * len(vectors)
+        #: Size of a point [bytes].
+        self.point_step = offset + 4 * ids
+        self._bytes = np.zeros((count, self.point_step), np.uint8)
+        if ids:
+            self.fields.append(("id", offset, _UINT32))
+            self._view("<u4", offset, 1)[:, 0] = np.arange(count)
+        self._vectors = [self._view(f"<f{length}", 3 * length * k, 3) for k in range(len(vectors) // 3)]
+
+    def _view(self, dtype: str, offset: int, width: int) -> NDArray[np.generic]:
+        length = np.dtype(dtype).itemsize
+        strides = (self.point_step, length)
+        return np.ndarray((len(self._bytes), width), dtype, self._bytes.data, offset=offset, strides=strides)
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return self._bytes.nbytes
+
+    def write(self, *vectors: NDArray[np.float64] | None) -> memoryview:
+        """Write positions, then velocities and normals if the cloud has them, each of shape (3, n); return the bytes.
+
+        Those that are None are skipped.
+        """
+        present = [vector for vector in vectors if vector is not None]
+        for view, vector in zip(self._vectors, present, strict=True):
+            view[:] = vector.T
+        return self._bytes.data
