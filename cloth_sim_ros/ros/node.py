@@ -94,7 +94,7 @@ class ClothNode:
             "parameters": lambda *_: self.inputs.parameters.return_to(simulation.scene),
             "diagnostics.accuracy": lambda *_: self.reporting.accuracy.close(),
             "~/state": self.outputs.states.fail,
-            "services": self.inputs.services.fail,
+            "services": self.inputs.fail,
             "/diagnostics": lambda *_: self.reporting.diagnostics.send(),
             "the session": self.recording.fail,
         }
@@ -171,6 +171,7 @@ class ClothNode:
                 with self._lock if self.stop() else nullcontext():
                     self._close(timeout)
             finally:
+                self.inputs.close()
                 self.node.destroy_node()
         return bool(self.recording.saved)
 
@@ -219,7 +220,7 @@ class ClothNode:
         self.recording.session.commit()
         # Last, because an answer is final.
         self.stepper.answer()
-        self.inputs.services.answer_grasps(frame)
+        self.inputs.answer(frame)
         self.reporting.log_frame(frame)
         self.timing.clock_pause.commit(frame, stands=tick.stands)
         self.timing.count(frame, tick, time.monotonic() - start)
@@ -243,7 +244,7 @@ class ClothNode:
     def _maintain(self) -> None:
         with self._lock:
             self.reporting.update()
-            self.inputs.services.expire_requests()
+            self.inputs.expire()
             self.reporting.log.flush()
             trouble = self.recording.update()
             self.reporting.report_changes()

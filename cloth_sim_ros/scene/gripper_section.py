@@ -14,6 +14,8 @@ from cloth_sim_ros.scene.parameters.declare import parameter
 MAX_SPEED = 10.0
 #: Grasp modes of a gripper.
 MODES = ATTACH, PINCH = ("attach", "pinch")
+#: Types of the action of a gripper, as controllers of MoveIt name them.
+ACTIONS = NO_ACTION, GRIPPER_COMMAND, PARALLEL_GRIPPER_COMMAND = ("none", "GripperCommand", "ParallelGripperCommand")
 #: Models of the grip of an attached particle.
 GRIP_MODELS = SPRING, PRESCRIBED = ("spring", "prescribed")
 
@@ -127,6 +129,30 @@ class GripperParameters:
     )
     speed: float = parameter(
         "double", 0.05, "In mode pinch: speed of each pad without contact", unit="m/s", min=1e-4, max=10.0, live=True
+    )
+    action: str = parameter(
+        "string",
+        NO_ACTION,
+        "Type of the action server ~/<gripper>/gripper_cmd, of control_msgs. <gripper>.action overrides it for one "
+        "gripper",
+        choices=ACTIONS,
+    )
+    joint_range: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0),
+        "Positions of the robot's joint with the gripper closed and open, as goals of the action have them; equal: the "
+        "distance between the pads, from 0 to gripper.opening. <gripper>.joint_range overrides it for one gripper",
+        unit="rad or m",
+        length=2,
+        min=-1e3,
+        max=1e3,
+    )
+    allow_stalling: bool = parameter(
+        "bool",
+        True,
+        "Whether a goal of the action succeeds if cloth stops the pads before their position; otherwise it is aborted",
+        live=True,
+        observes=True,
     )
     friction: tuple[float, ...] = parameter(
         "double[]",
