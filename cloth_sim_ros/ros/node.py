@@ -207,7 +207,7 @@ class ClothNode:
         first, last = self.timing.clock_pause.events(stands=tick.stands)
         self.recording.session.before_frame(tick.stamp)
         self.reporting.accuracy.before_frame()
-        first += [*self.inputs.tf_follower.events(tick.stamp), *self.timing.governor.events()]
+        first += [*self.inputs.events(tick.stamp), *self.timing.governor.events()]
         frame = self.stepper.advance(max(tick.stamp, tick.now), first, last=last)
         if frame is None:
             return

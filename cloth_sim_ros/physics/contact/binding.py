@@ -130,7 +130,7 @@ class ContactBinding(Uncopyable):
             boxes = np.arange(force.n_solids, self.count, dtype=np.int64)
             targets = [NO_SETPOINT] * len(force.jaws) if setpoints is None else setpoints.tolist()
             rows = [
-                jaw.engine_row(*flags, target, force.thickness)
+                jaw.engine_row(*flags, setpoint=target, thickness=force.thickness)
                 for jaw, flags, target in zip(force.jaws, commands.tolist(), targets, strict=True)
             ]
             drives = np.array(rows).reshape(len(rows), binding.DRIVE_NUMBERS)

@@ -114,8 +114,8 @@ class GripperActions:
             types = importlib.import_module("control_msgs.action") if wanted else None
         except ImportError:
             self._node.get_logger().error(
-                f"gripper.action is set, and control_msgs is not installed: no goals are taken for {', '.join(wanted)}; "
-                "sudo apt install ros-jazzy-control-msgs"
+                "gripper.action is set, and control_msgs is not installed: no goals are taken for "
+                f"{', '.join(wanted)}; sudo apt install ros-jazzy-control-msgs"
             )
             return
         for name, kind in wanted.items():
@@ -373,6 +373,6 @@ def read_command(
             "gripper.joint_range to the range of the robot's joint"
         )
     fraction = min(max((position - closed) / (opened - closed), 0.0), 1.0)
-    names = [*joints[: len(positions)], *joints[-1:] * (len(positions) - len(joints))]
+    names = [joints[min(k, len(joints) - 1)] for k in range(len(positions))]
     force = max(map(float, efforts), default=0.0)
     return Command(fraction, max(force, 0.0), max((abs(float(v)) for v in velocities), default=0.0), tuple(names))

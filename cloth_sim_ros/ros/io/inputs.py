@@ -17,9 +17,8 @@ from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
-from cloth_sim_ros.scene.gripper_section import NO_ACTION
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.simulation.events import Event, SetParameters
 from cloth_sim_ros.simulation.frame import Frame
 
 if TYPE_CHECKING:
@@ -58,12 +57,16 @@ class Inputs:
         """Subscribe to the commands of the grippers, and create the services and actions."""
         self.commands.subscribe()
         self.services.serve()
-        scene = self._simulation.scene
-        if any(scene.of_gripper(name, "action") != NO_ACTION for name in scene.gripper_names):
+        if self._simulation.scene.has_actions:
             from cloth_sim_ros.ros.io.gripper_actions import GripperActions
 
             self.actions = GripperActions(self._node, self._simulation, self._queue, self._failure, self._log)
             self.actions.serve()
+
+    def events(self, stamp: int) -> list[Event]:
+        """Return the events of followed frames and commanded velocities, for the frame due at a ROS time [ns]."""
+        twists = self.commands.twists
+        return [*self.tf_follower.events(stamp), *([] if twists is None else twists.events(stamp))]
 
     def answer(self, frame: Frame) -> None:
         """Answer the requests and goals whose grasps ended in a frame."""

@@ -7,6 +7,8 @@ Messages are built only for subscribers or a recording, and serialized once for 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -24,6 +26,9 @@ from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.cloth_clock import ClothClock
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.io.sensor_wrenches import SensorWrenches
 
 #: Publication period of a paused cloth [s]: late subscribers receive it, and recordings stay small.
 _PAUSED_PERIOD = 1.0
@@ -114,6 +119,11 @@ class Outputs:
         self.states = States(node, simulation, sink)
         self.transforms = TfBroadcaster(node, simulation, sink)
         self.obstacles = ObstacleTopics(node, simulation, commands, sink, log)
+        self._sensors: SensorWrenches | None = None
+        if simulation.scene.gripper_names and simulation.scene.gripper.sensor_frame:
+            from cloth_sim_ros.ros.io.sensor_wrenches import SensorWrenches
+
+            self._sensors = SensorWrenches(node, simulation, sink)
         #: Steady time of the last frame that was due [s]; None before the first.
         self._last_published: float | None = None
 
@@ -135,6 +145,8 @@ class Outputs:
         state, points = self._simulation.state, self._simulation.scene.points
         velocities = state.v if points.velocity else None
         self.cloth.send(state.x, frame.wrenches, stamp, velocities=velocities, double=points.double)
+        if self._sensors is not None:
+            self._sensors.send(frame.wrenches, stamp)
         self.states.show(frame, stamp)
         self.clock.send(frame.time)
         self.obstacles.send(frame, stamp)
