@@ -130,6 +130,15 @@ class GripperParameters:
     speed: float = parameter(
         "double", 0.05, "In mode pinch: speed of each pad without contact", unit="m/s", min=1e-4, max=10.0, live=True
     )
+    friction: tuple[float, ...] = parameter(
+        "double[]",
+        (0.6, 0.5),
+        "In mode pinch: coefficients of friction between pads and cloth, as those of an obstacle",
+        min=0.0,
+        max=1e3,
+        constraint=FRICTION,
+        live=True,
+    )
     action: str = parameter(
         "string",
         NO_ACTION,
@@ -204,13 +213,4 @@ class GripperParameters:
         "Orientation of that sensor in the gripper's frame, a quaternion x, y, z, w",
         length=4,
         constraint=QUATERNION,
-    )
-    friction: tuple[float, ...] = parameter(
-        "double[]",
-        (0.6, 0.5),
-        "In mode pinch: coefficients of friction between pads and cloth, as those of an obstacle",
-        min=0.0,
-        max=1e3,
-        constraint=FRICTION,
-        live=True,
     )
