@@ -104,10 +104,10 @@ def _check_grasp(event: Grasp, scene: Scene, state: State) -> None:
         half_opening = float(state.memory[JAWS_KEY][k, 0])
         inner, outer = pads_of(scene, 1.0)[k].stops(event.closed, 0.5 * opening, thickness)
         if _stop_clearance(half_opening, inner, outer, thickness) < _MIN_STOP_CLEARANCE * thickness:
-            word, other = ("close", "open") if event.closed else ("open", "close")
+            command, remedy = ("close", "open") if event.closed else ("open", "close")
             raise EventError(
                 f"opening of '{name}' is {opening} m, and its pads are {2.0 * half_opening:.4g} m apart; they cannot "
-                f"{word} to that: {other} them"
+                f"{command} to that: {remedy} them"
             )
     if not 0.0 <= event.force < math.inf:
         raise EventError(f"force of '{name}' is {event.force} N; it must be finite and at least 0, which means any")

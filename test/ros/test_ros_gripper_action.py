@@ -39,7 +39,7 @@ PINCH: dict[str, Any] = {
 }
 PARALLEL = {**PINCH, "gripper.action": "ParallelGripperCommand"}
 CORNER = np.array([0.15, 0.0, 0.0])
-ASIDE = np.array([0.6, 0.0, 0.0])
+FAR_AWAY = np.array([0.6, 0.0, 0.0])
 
 
 @pytest.fixture(scope="session")
@@ -122,7 +122,7 @@ def placed(cloth: ClockedCloth, position: np.ndarray = CORNER) -> None:
 
 def test_goal_ends_when_pads_rest_at_position(client: Client, control_msgs: Any) -> None:
     with ClockedCloth(client, PINCH) as cloth:
-        placed(cloth, ASIDE)
+        placed(cloth, FAR_AWAY)
         commander = Commander(client, cloth, control_msgs.GripperCommand)
         status, result, frames = commander.run(0.01)
         assert (status, result.stalled, result.reached_goal) == (GoalStatus.STATUS_SUCCEEDED, False, True)
@@ -156,7 +156,7 @@ def test_goal_stalls_on_cloth(client: Client, control_msgs: Any) -> None:
 def test_joint_range_maps_joint_to_opening(client: Client, control_msgs: Any) -> None:
     # As the knuckle of a 2F-85: 0.8 rad closed, 0 open; MoveIt may command both fingers.
     with ClockedCloth(client, {**PARALLEL, "gripper.joint_range": [0.8, 0.0]}) as cloth:
-        placed(cloth, ASIDE)
+        placed(cloth, FAR_AWAY)
         commander = Commander(client, cloth, control_msgs.ParallelGripperCommand)
         names = ["left_knuckle", "right_knuckle"]
         status, result, _ = commander.run(0.4, name=names, position=[0.4, 0.4], effort=[1.0, 1.0], velocity=[2.0, 2.0])
@@ -204,7 +204,7 @@ def test_stalled_goal_is_aborted_if_stalling_is_not_allowed(client: Client, cont
 
 def test_canceled_goal_stops_pads(client: Client, control_msgs: Any) -> None:
     with ClockedCloth(client, PINCH) as cloth:
-        placed(cloth, ASIDE)
+        placed(cloth, FAR_AWAY)
         commander = Commander(client, cloth, control_msgs.GripperCommand)
         handle = commander.send(commander.goal(0.0))
         cloth.tick(5)
@@ -223,7 +223,7 @@ def test_canceled_goal_stops_pads(client: Client, control_msgs: Any) -> None:
 
 def test_newer_goal_aborts_older_one(client: Client, control_msgs: Any) -> None:
     with ClockedCloth(client, PINCH) as cloth:
-        placed(cloth, ASIDE)
+        placed(cloth, FAR_AWAY)
         commander = Commander(client, cloth, control_msgs.GripperCommand)
         first = commander.send(commander.goal(0.0))
         cloth.tick(5)
@@ -237,7 +237,7 @@ def test_newer_goal_aborts_older_one(client: Client, control_msgs: Any) -> None:
 
 def test_other_commands_abort_goal(client: Client, control_msgs: Any) -> None:
     with ClockedCloth(client, PINCH) as cloth:
-        placed(cloth, ASIDE)
+        placed(cloth, FAR_AWAY)
         commander = Commander(client, cloth, control_msgs.GripperCommand)
         for position, closed in ((0.0, False), (0.02, True)):
             commander.run(0.02 - position)
@@ -293,7 +293,7 @@ def test_result_comes_in_simulated_time(client: Client, control_msgs: Any, facto
 
 def test_paused_cloth_delays_result(client: Client, control_msgs: Any) -> None:
     with ClockedCloth(client, PINCH) as cloth:
-        placed(cloth, ASIDE)
+        placed(cloth, FAR_AWAY)
         commander = Commander(client, cloth, control_msgs.GripperCommand)
         future = commander.send(commander.goal(0.01)).get_result_async()
         cloth.tick(2)
@@ -323,7 +323,7 @@ def test_impossible_goal_is_rejected_with_reason(
     client: Client, control_msgs: Any, capfd: pytest.CaptureFixture[str], fields: dict[str, Any], words: str
 ) -> None:
     with ClockedCloth(client, PARALLEL) as cloth:
-        placed(cloth, ASIDE)
+        placed(cloth, FAR_AWAY)
         commander = Commander(client, cloth, control_msgs.ParallelGripperCommand)
         assert not commander.send(commander.goal(0.0, **fields)).accepted
         cloth.tick(2)

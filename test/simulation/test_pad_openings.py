@@ -30,7 +30,7 @@ PINCH: dict[str, Any] = {
     "cloth.position": [0.0, 0.0, 0.15],
     "tolerance": 1e-3,
 }
-CORNER, ASIDE = (0.15, 0.0, 0.0), (0.6, 0.0, 0.0)
+CORNER, FAR_AWAY = (0.15, 0.0, 0.0), (0.6, 0.0, 0.0)
 
 
 def gripper_at(position: tuple[float, ...], **values: Any) -> Simulation:
@@ -57,7 +57,7 @@ def gap(cloth: Simulation) -> float:
 
 @pytest.mark.parametrize("integrator", ["auto", "implicit"])
 def test_pads_stop_at_commanded_opening(integrator: str) -> None:
-    cloth = gripper_at(ASIDE, integrator=integrator)
+    cloth = gripper_at(FAR_AWAY, integrator=integrator)
     for closed, opening in ((True, 0.03), (True, 0.02), (False, 0.05), (True, 0.0), (False, OPENING)):
         results, _ = moved(cloth, Grasp("gripper", closed, opening))
         assert [(result.closed, result.reached) for result in results] == [(closed, True)]
@@ -78,9 +78,9 @@ def test_cloth_stops_pads_before_commanded_opening() -> None:
 
 
 def test_force_and_speed_are_limits() -> None:
-    cloth = gripper_at(ASIDE)
+    cloth = gripper_at(FAR_AWAY)
     _, fast = moved(cloth, Grasp("gripper", True, 0.03))
-    cloth = gripper_at(ASIDE)
+    cloth = gripper_at(FAR_AWAY)
     _, slow = moved(cloth, Grasp("gripper", True, 0.03, force=1.0, speed=0.025))
     # 15 mm for each pad at 0.05 m/s take 18 frames.
     assert (fast, slow) == (pytest.approx(19, abs=2), pytest.approx(37, abs=2))
@@ -92,7 +92,7 @@ def test_force_and_speed_are_limits() -> None:
 
 
 def test_plain_grasp_replaces_opening() -> None:
-    cloth = gripper_at(ASIDE)
+    cloth = gripper_at(FAR_AWAY)
     moved(cloth, Grasp("gripper", True, 0.03))
     results, _ = moved(cloth, Grasp("gripper", True))
     assert [result.reached for result in results] == [True]
@@ -106,7 +106,7 @@ def test_plain_grasp_replaces_opening() -> None:
 
 
 def test_held_opening_stops_moving_pads() -> None:
-    cloth = gripper_at(ASIDE)
+    cloth = gripper_at(FAR_AWAY)
     for _ in range(6):
         cloth.advance([Grasp("gripper", True, 0.0)])
     present = gap(cloth)
@@ -127,7 +127,7 @@ def test_held_opening_stops_moving_pads() -> None:
     ],
 )
 def test_impossible_opening_is_refused(grasp: Grasp, words: str) -> None:
-    cloth = gripper_at(ASIDE)
+    cloth = gripper_at(FAR_AWAY)
     with pytest.raises(EventError, match=words.replace("(", r"\(")):
         cloth.advance([grasp])
 
@@ -139,14 +139,14 @@ def test_opening_of_attaching_gripper_is_refused() -> None:
 
 
 def test_thickness_is_refused_beyond_commanded_stop() -> None:
-    cloth = gripper_at(ASIDE)
+    cloth = gripper_at(FAR_AWAY)
     moved(cloth, Grasp("gripper", True, 0.03))
     with pytest.raises(EventError, match="it would leave the pads of 'gripper'"):
         cloth.advance([SetParameters({"contact.thickness": 1e-4})])
 
 
 def test_opening_survives_saved_state_and_record() -> None:
-    cloth = gripper_at(ASIDE)
+    cloth = gripper_at(FAR_AWAY)
     for _ in range(4):
         cloth.advance([Grasp("gripper", True, 0.03, 1.5, 0.04)])
     again = Simulation(cloth.scene, cloth.state)

@@ -130,8 +130,8 @@ class ContactBinding(Uncopyable):
             boxes = np.arange(force.n_solids, self.count, dtype=np.int64)
             targets = [NO_SETPOINT] * len(force.jaws) if setpoints is None else setpoints.tolist()
             rows = [
-                jaw.engine_row(*flags, setpoint=target, thickness=force.thickness)
-                for jaw, flags, target in zip(force.jaws, commands.tolist(), targets, strict=True)
+                jaw.engine_row(present, closed, target, force.thickness)
+                for jaw, (present, closed), target in zip(force.jaws, commands.tolist(), targets, strict=True)
             ]
             drives = np.array(rows).reshape(len(rows), binding.DRIVE_NUMBERS)
             check(self._library.cloth_plan_jaws(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))

@@ -69,7 +69,7 @@ class JointState:
 class _Goal:
     """An accepted goal until its end."""
 
-    handle: Any
+    server_handle: Any
     gripper: str
     command: Command
     #: Status and result message.
@@ -109,16 +109,16 @@ class GripperActions:
         """Create the servers, or log that control_msgs is missing."""
         scene = self._simulation.scene
         kinds = {name: scene.of_gripper(name, "action") for name in scene.gripper_names}
-        wanted = {name: kind for name, kind in kinds.items() if kind != NO_ACTION}
+        requested = {name: kind for name, kind in kinds.items() if kind != NO_ACTION}
         try:
-            types = importlib.import_module("control_msgs.action") if wanted else None
+            types = importlib.import_module("control_msgs.action") if requested else None
         except ImportError:
             self._node.get_logger().error(
                 "gripper.action is set, and control_msgs is not installed: no goals are taken for "
-                f"{', '.join(wanted)}; sudo apt install ros-jazzy-control-msgs"
+                f"{', '.join(requested)}; sudo apt install ros-jazzy-control-msgs"
             )
             return
-        for name, kind in wanted.items():
+        for name, kind in requested.items():
             self._types[name] = getattr(types, kind)
             server = ActionServer(
                 self._node,
@@ -182,7 +182,7 @@ class GripperActions:
     def _on_cancel(self, gripper: str, handle: Any) -> CancelResponse:
         with self._failure.callback_lock:
             goal = self._goals.get(gripper)
-            if goal is None or goal.handle.goal_id != handle.goal_id:
+            if goal is None or goal.server_handle.goal_id != handle.goal_id:
                 return CancelResponse.REJECT
             goal.is_canceled, goal.cancel_time = True, time.monotonic()
             if self._simulation.scene.pinches(gripper):
@@ -230,7 +230,7 @@ class GripperActions:
         elif frame.moved:
             feedback = self._types[gripper].Feedback()
             self._fill(feedback, goal, stalled=False, reached=False)
-            goal.handle.publish_feedback(feedback)
+            goal.server_handle.publish_feedback(feedback)
 
     def _result(self, goal: _Goal, frame: Frame, has_begun: bool) -> GraspResult | None:
         """Return the result of a goal's grasp if it has one after a frame."""
@@ -365,7 +365,7 @@ def read_command(
     if not all(map(math.isfinite, (*positions, *efforts, *velocities))):
         raise GoalError("it has numbers that are not finite")
     position, tolerance = float(positions[0]), _POSITION_TOLERANCE * abs(opened - closed)
-    if any(abs(other - position) > tolerance for other in positions):
+    if any(abs(p - position) > tolerance for p in positions):
         raise GoalError(f"its positions {list(positions)} differ; the pads of a parallel gripper move alike")
     if not min(limits) - tolerance <= position <= max(limits) + tolerance:
         raise GoalError(

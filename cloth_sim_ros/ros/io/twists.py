@@ -102,7 +102,7 @@ class TwistCommands:
             if silence > scene.gripper.twist_timeout:
                 del self._twists[name]
                 if any((*twist.linear, *twist.angular)):
-                    self._log.warn(
+                    self._log.info(
                         f"twist {name}",
                         f"'{name}' stops: no twist has come for {silence:.2f} s (gripper.twist_timeout)",
                     )
@@ -144,7 +144,7 @@ def _moved(
     pose: Sequence[float], linear: Sequence[float], angular: Sequence[float], duration: float
 ) -> tuple[list[float], list[float]]:
     """Return position [m] and orientation of a pose after a motion at velocities [m/s, rad/s] for a time [s]."""
-    turn = [rate * duration for rate in angular]
-    shortening = min(_MAX_ROTATION / math.hypot(*turn), 1.0) if any(turn) else 1.0
+    rotation = [rate * duration for rate in angular]
+    shortening = min(_MAX_ROTATION / math.hypot(*rotation), 1.0) if any(rotation) else 1.0
     position = [p + v * duration for p, v in zip(pose[:3], linear, strict=True)]
-    return position, rotated_by(pose[3:], [shortening * angle for angle in turn])
+    return position, rotated_by(pose[3:], [shortening * angle for angle in rotation])
