@@ -169,13 +169,11 @@ class CommandCheck:
 
     def _match_grasp(self, event: Mapping[str, Any], grasps: Mapping[str, list[bool]]) -> None:
         received = grasps.get(str(event.get("gripper", "")), [])
-        if "opening" in event:
-            self._skip("events", "grasp with an opening, by the action")
-        elif received and received[0] == event.get("closed"):
+        if received and received[0] == event.get("closed"):
             received.pop(0)
             self._findings.compared("command")
         else:
-            self._skip("events", "grasp without a message, by a service or gripper.timeout")
+            self._skip("events", "grasp without a message, by a service, an action or gripper.timeout")
 
     def _match_target(self, name: str, event: Mapping[str, Any], stamp: int, *, known: bool) -> None:
         if name in self._untracked:
