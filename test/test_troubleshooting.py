@@ -15,7 +15,15 @@ from cloth_sim_ros.session import old_keys
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cloth_sim_ros"
-PAGES = [ROOT / "docs" / name for name in ("troubleshooting.md", "troubleshooting_start.md", "node/gripper_action.md")]
+PAGES = [
+    ROOT / "docs" / name
+    for name in (
+        "troubleshooting.md",
+        "troubleshooting_start.md",
+        "node/gripper_action.md",
+        "node/simulation_interfaces.md",
+    )
+]
 PAGE = " ".join(" ".join(path.read_text(encoding="utf-8").replace("<br>", " ") for path in PAGES).split())
 #: Modules of `ros` whose texts belong to other commands: the demo, the gripper client, `cloth_sim --check`.
 OTHER_COMMANDS = re.compile(r"demo|options|check|step_limiters|cloth_clock|gripper_(?!speed|actions)\w+")

@@ -153,6 +153,12 @@ class Scene:
         live=True,
         observes=True,
     )
+    simulation_interfaces: bool = parameter(
+        "bool",
+        False,
+        "Serve the package simulation_interfaces: ~/get_simulator_features, ~/reset_simulation, ~/step_simulation, "
+        "~/simulate_steps, ~/get_simulation_state and ~/set_simulation_state",
+    )
     points: PointsParameters = section(PointsParameters)
     tf: TfParameters = section(TfParameters)
     record: RecordParameters = section(RecordParameters)

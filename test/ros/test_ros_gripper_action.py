@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 import time
@@ -18,7 +17,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from std_srvs.srv import SetBool, Trigger
 from support.clocked_cloth import ClockedCloth
-from support.interface_packages import CONTROL_MSGS, build_package
+from support.interface_packages import importable
 from support.ros_client import Client
 
 from cloth_sim_ros.simulation.events import Pause
@@ -45,20 +44,8 @@ FAR_AWAY = np.array([0.6, 0.0, 0.0])
 @pytest.fixture(scope="session")
 def control_msgs() -> Iterator[Any]:
     """The action types of control_msgs: installed ones, or built ones."""
-    folder, reason = None, ""
-    try:
-        types = importlib.import_module("control_msgs.action")
-    except ImportError:
-        folder, reason = build_package("control_msgs", CONTROL_MSGS)
-        if folder is None:
-            pytest.skip(reason)
-        sys.path.append(str(folder))
-        types = importlib.import_module("control_msgs.action")
-    yield types
-    if folder is not None:
-        sys.path.remove(str(folder))
-        for name in [name for name in sys.modules if name.partition(".")[0] == "control_msgs"]:
-            del sys.modules[name]
+    with importable("control_msgs", "action") as (types,):
+        yield types
 
 
 @pytest.fixture

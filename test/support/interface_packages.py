@@ -7,14 +7,19 @@ A build is kept in build/interfaces and made once. The definitions have the docu
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib
 import importlib.metadata
 import os
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from cloth_sim_ros.engine import build
 
@@ -29,6 +34,35 @@ CONTROL_MSGS = {
     "action/ParallelGripperCommand.action": (
         "sensor_msgs/JointState command\n---\nsensor_msgs/JointState state\nbool stalled\nbool reached_goal\n"
         "---\nsensor_msgs/JointState state\n"
+    ),
+}
+SIMULATION_INTERFACES = {
+    "msg/Result.msg": (
+        "uint8 FEATURE_UNSUPPORTED=0\nuint8 OK=1\nuint8 NOT_FOUND=2\nuint8 INCORRECT_STATE=3\n"
+        "uint8 OPERATION_FAILED=4\nuint8 result\nstring error_message\n"
+    ),
+    "msg/SimulationState.msg": (
+        "uint8 STATE_STOPPED=0\nuint8 STATE_PLAYING=1\nuint8 STATE_PAUSED=2\nuint8 STATE_QUITTING=3\nuint8 state\n"
+    ),
+    "msg/SimulatorFeatures.msg": (
+        "uint8 SPAWNING=0\nuint8 SIMULATION_RESET=20\nuint8 SIMULATION_RESET_TIME=21\n"
+        "uint8 SIMULATION_RESET_STATE=22\nuint8 SIMULATION_STATE_GETTING=24\nuint8 SIMULATION_STATE_SETTING=25\n"
+        "uint8 SIMULATION_STATE_PAUSE=26\nuint8 STEP_SIMULATION_SINGLE=31\nuint8 STEP_SIMULATION_MULTIPLE=32\n"
+        "uint8 STEP_SIMULATION_ACTION=33\nuint16[] features\nstring[] spawn_formats\nstring custom_info\n"
+    ),
+    "srv/GetSimulatorFeatures.srv": "---\nSimulatorFeatures features\n",
+    "srv/GetSimulationState.srv": "---\nSimulationState state\nResult result\n",
+    "srv/SetSimulationState.srv": (
+        "SimulationState state\n---\nuint8 ALREADY_IN_TARGET_STATE=101\nuint8 STATE_TRANSITION_ERROR=102\n"
+        "uint8 INCORRECT_TRANSITION=103\nResult result\n"
+    ),
+    "srv/ResetSimulation.srv": (
+        "uint8 SCOPE_DEFAULT=0\nuint8 SCOPE_TIME=1\nuint8 SCOPE_STATE=2\nuint8 SCOPE_SPAWNED=4\nuint8 SCOPE_ALL=255\n"
+        "uint8 scope\n---\nResult result\n"
+    ),
+    "srv/StepSimulation.srv": "uint64 steps\n---\nResult result\n",
+    "action/SimulateSteps.action": (
+        "uint64 steps\n---\nResult result\n---\nuint64 completed_steps\nuint64 remaining_steps\n"
     ),
 }
 #: Packages whose types the definitions use.
@@ -49,6 +83,9 @@ _GENERATORS = (
     "rosidl-typesupport-fastrtps-c",
     "rosidl-typesupport-introspection-c",
 )
+
+
+_PACKAGES = {"control_msgs": CONTROL_MSGS, "simulation_interfaces": SIMULATION_INTERFACES}
 
 
 def build_package(name: str, definitions: Mapping[str, str]) -> tuple[Path | None, str]:
@@ -87,10 +124,28 @@ def build_package(name: str, definitions: Mapping[str, str]) -> tuple[Path | Non
     return folder, ""
 
 
+@contextlib.contextmanager
+def importable(name: str, *modules: str) -> Iterator[list[Any]]:
+    """Import modules of an interface package within a context; build it if it is not installed, or skip the test."""
+    folder: Path | None = None
+    try:
+        importlib.import_module(name)
+    except ImportError:
+        folder, reason = build_package(name, _PACKAGES[name])
+        if folder is None:
+            pytest.skip(reason)
+        sys.path.append(str(folder))
+    yield [importlib.import_module(f"{name}.{module}") for module in modules]
+    if folder is not None:
+        sys.path.remove(str(folder))
+        for loaded in [loaded for loaded in sys.modules if loaded.partition(".")[0] == name]:
+            del sys.modules[loaded]
+
+
 def _build(name: str, folder: Path, definitions: Mapping[str, str]) -> None:
     """Translate, generate, compile and link a package in a folder."""
     import rosidl_generator_c.cli
-    from rosidl_adapter.cli import convert_action_to_idl, convert_msg_to_idl
+    from rosidl_adapter.cli import convert_action_to_idl, convert_msg_to_idl, convert_srv_to_idl
     from rosidl_generator_py.cli import GeneratePython
     from rosidl_generator_type_description.cli import HashTypeDescription
     from rosidl_typesupport_c.cli import GenerateCTypesupport
@@ -102,7 +157,9 @@ def _build(name: str, folder: Path, definitions: Mapping[str, str]) -> None:
     for path, text in definitions.items():
         (source / path).parent.mkdir(parents=True, exist_ok=True)
         (source / path).write_text(text)
-        convert = convert_action_to_idl if path.endswith(".action") else convert_msg_to_idl
+        convert = {".action": convert_action_to_idl, ".msg": convert_msg_to_idl, ".srv": convert_srv_to_idl}[
+            Path(path).suffix
+        ]
         idl = convert(source, name, Path(path), (source / path).parent)
         files.append(f"{source}:{Path(idl).relative_to(source)}")
     paths = [*(str(Path(sys.prefix) / "share" / dependency) for dependency in _DEPENDENCIES), str(source)]
@@ -157,4 +214,4 @@ def _numpy_include() -> str:
 
 
 if __name__ == "__main__":
-    _build(sys.argv[1], Path(sys.argv[2]), {"control_msgs": CONTROL_MSGS}[sys.argv[1]])
+    _build(sys.argv[1], Path(sys.argv[2]), _PACKAGES[sys.argv[1]])

@@ -23,6 +23,7 @@ from cloth_sim_ros.simulation.frame import Frame
 
 if TYPE_CHECKING:
     from cloth_sim_ros.ros.io.gripper_actions import GripperActions
+    from cloth_sim_ros.ros.io.simulation_interfaces import SimulationInterfaces
 
 
 class Inputs:
@@ -52,6 +53,8 @@ class Inputs:
         self._log, self._failure = log, failure
         #: Action servers of the grippers; None if no gripper has one.
         self.actions: GripperActions | None = None
+        #: Servers of simulation_interfaces; None if they are not requested.
+        self.interfaces: SimulationInterfaces | None = None
 
     def start(self) -> None:
         """Subscribe to the commands of the grippers, and create the services and actions."""
@@ -62,6 +65,12 @@ class Inputs:
 
             self.actions = GripperActions(self._node, self._simulation, self._queue, self._failure, self._log)
             self.actions.serve()
+
+        if self._simulation.scene.simulation_interfaces:
+            from cloth_sim_ros.ros.io.simulation_interfaces import SimulationInterfaces
+
+            self.interfaces = SimulationInterfaces(self._node, self.services)
+            self.interfaces.serve()
 
     def events(self, stamp: int) -> list[Event]:
         """Return the events of followed frames and commanded velocities, for the frame due at a ROS time [ns]."""
@@ -88,8 +97,9 @@ class Inputs:
 
     def close(self) -> None:
         """Remove the actions, which rclpy's node keeps."""
-        if self.actions is not None:
-            self.actions.close()
+        for servers in (self.actions, self.interfaces):
+            if servers is not None:
+                servers.close()
 
     def return_parameters(self, reason: str) -> None:
         """Set the parameters back to those in force, because accepted ones could not take effect."""
