@@ -15,10 +15,18 @@ from cloth_sim_ros.session import old_keys
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cloth_sim_ros"
-PAGES = [ROOT / "docs" / name for name in ("troubleshooting.md", "troubleshooting_start.md")]
+PAGES = [
+    ROOT / "docs" / name
+    for name in (
+        "troubleshooting.md",
+        "troubleshooting_start.md",
+        "node/gripper_action.md",
+        "node/simulation_interfaces.md",
+    )
+]
 PAGE = " ".join(" ".join(path.read_text(encoding="utf-8").replace("<br>", " ") for path in PAGES).split())
 #: Modules of `ros` whose texts belong to other commands: the demo, the gripper client, `cloth_sim --check`.
-OTHER_COMMANDS = re.compile(r"demo|options|check|step_limiters|cloth_clock|gripper_(?!speed)\w+")
+OTHER_COMMANDS = re.compile(r"demo|options|check|step_limiters|cloth_clock|gripper_(?!speed|actions)\w+")
 #: Modules outside `ros` whose texts the node logs: refused events, grasps, contact, implausible sizes.
 LOGGED = {"event_checks", "contact_recovery", "plausibility", "grippers", "parallel_grippers", "initial_penetration"}
 #: Not printed: a filter of warnings, and a profile of the middleware.

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 20
+ABI = 21
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -41,7 +41,7 @@ CONTACT_SUMMARY_NUMBERS = 7
 #: Numbers of an anchor of friction; see laws/friction.hpp.
 ANCHOR_NUMBERS = 4
 #: Numbers of the state of a gripper's jaws, and of their drive; see contact/parallel_jaw.hpp and api/cloth_sim.hpp.
-JAW_NUMBERS, DRIVE_NUMBERS = 2, 7
+JAW_NUMBERS, DRIVE_NUMBERS = 2, 8
 #: Kinds of listed elements with their particles and parameters; see mesh/elements.hpp.
 KINDS = {
     "spring": (0, 2, 3),

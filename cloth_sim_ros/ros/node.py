@@ -96,7 +96,7 @@ class ClothNode:
             "parameters": lambda *_: self.inputs.parameters.return_to(simulation.scene),
             "diagnostics.accuracy": lambda *_: self.reporting.accuracy.close(),
             "~/state": self.outputs.states.fail,
-            "services": self.inputs.services.fail,
+            "services": self.inputs.fail,
             "/diagnostics": lambda *_: self.reporting.diagnostics.send(),
             "the session": self.recording.fail,
         }
@@ -173,6 +173,7 @@ class ClothNode:
                 with self._lock if self.stop() else nullcontext():
                     self._close(timeout)
             finally:
+                self.inputs.close()
                 self.node.destroy_node()
         return bool(self.recording.saved)
 
@@ -216,7 +217,7 @@ class ClothNode:
         first, last = self.timing.clock_pause.events(stands=tick.stands)
         self.recording.session.before_frame(tick.stamp)
         self.reporting.accuracy.before_frame()
-        first += [*self.inputs.tf_follower.events(tick.stamp), *self.timing.governor.events()]
+        first += [*self.inputs.events(tick.stamp), *self.timing.governor.events()]
         frame = self.stepper.advance(max(tick.stamp, tick.now), first, last=last)
         if frame is None:
             return
@@ -229,7 +230,7 @@ class ClothNode:
         self.recording.session.commit()
         # Last, because an answer is final.
         self.stepper.answer()
-        self.inputs.services.answer_grasps(frame)
+        self.inputs.answer(frame)
         self.reporting.log_frame(frame)
         self.timing.clock_pause.commit(frame, stands=tick.stands)
         self.timing.count(frame, tick, time.monotonic() - start)
@@ -253,7 +254,7 @@ class ClothNode:
     def _maintain(self) -> None:
         with self._lock:
             self.reporting.update()
-            self.inputs.services.expire_requests()
+            self.inputs.expire()
             self.reporting.log.flush()
             trouble = self.recording.update()
             self.reporting.report_changes()

@@ -35,6 +35,6 @@ def faults(values: Mapping[str, Any]) -> Iterable[str]:
         values: parameters by full name; parameters without a frame's name are ignored.
     """
     for name, value in values.items():
-        is_frame = name == "frame_id" or name.endswith(".frame")
+        is_frame = name == "frame_id" or name.endswith((".frame", ".sensor_frame"))
         if is_frame and isinstance(value, str) and value and (words := fault(value)):
             yield f"{name} is {value!r}; {words}"

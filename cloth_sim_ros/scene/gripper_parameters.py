@@ -17,7 +17,7 @@ from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters.declare import NAME, Parameter, ParameterError
 
 #: Last parts of the names of these parameters.
-LEAVES = ("mode", "model", "frame", "max_speed")
+LEAVES = ("mode", "model", "frame", "max_speed", "action", "joint_range")
 _SECTION_PREFIX = "gripper."
 
 

@@ -7,13 +7,15 @@ from __future__ import annotations
 import attrs
 
 from cloth_sim_ros.physics.contact.obstacle_shapes import MAX_SIZE
-from cloth_sim_ros.scene.limits import FRAME, FRICTION
+from cloth_sim_ros.scene.limits import FRAME, FRICTION, QUATERNION
 from cloth_sim_ros.scene.parameters.declare import parameter
 
 #: Default speed limit of a gripper, the limit of obstacles [m/s]: robots move at 2 to 3 m/s, fast parallel ones at 10.
 MAX_SPEED = 10.0
 #: Grasp modes of a gripper.
 MODES = ATTACH, PINCH = ("attach", "pinch")
+#: Types of the action of a gripper, as controllers of MoveIt name them.
+ACTIONS = NO_ACTION, GRIPPER_COMMAND, PARALLEL_GRIPPER_COMMAND = ("none", "GripperCommand", "ParallelGripperCommand")
 #: Models of the grip of an attached particle.
 GRIP_MODELS = SPRING, PRESCRIBED = ("spring", "prescribed")
 
@@ -136,4 +138,79 @@ class GripperParameters:
         max=1e3,
         constraint=FRICTION,
         live=True,
+    )
+    action: str = parameter(
+        "string",
+        NO_ACTION,
+        "Type of the action server ~/<gripper>/gripper_cmd, of control_msgs. <gripper>.action overrides it for one "
+        "gripper",
+        choices=ACTIONS,
+    )
+    joint_range: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0),
+        "Positions of the robot's joint with the gripper closed and open, as goals of the action have them; equal: the "
+        "distance between the pads, from 0 to gripper.opening. <gripper>.joint_range overrides it for one gripper",
+        unit="rad or m",
+        length=2,
+        min=-1e3,
+        max=1e3,
+    )
+    allow_stalling: bool = parameter(
+        "bool",
+        True,
+        "Whether a goal of the action succeeds if cloth stops the pads before their position; otherwise it is aborted",
+        live=True,
+        observes=True,
+    )
+    twist_max_speed: float = parameter(
+        "double",
+        0.0,
+        "Speed limit of velocities on ~/<gripper>/twist; faster ones are shortened; 0: there is no such topic",
+        unit="m/s",
+        min=0.0,
+        max=MAX_SPEED,
+    )
+    twist_max_rate: float = parameter(
+        "double",
+        2.0,
+        "Limit of angular velocities on ~/<gripper>/twist",
+        unit="rad/s",
+        min=0.0,
+        max=100.0,
+        live=True,
+        observes=True,
+    )
+    twist_timeout: float = parameter(
+        "double",
+        0.1,
+        "Time without a velocity on ~/<gripper>/twist after which a gripper stops",
+        unit="s",
+        min=1e-3,
+        max=10.0,
+        live=True,
+        observes=True,
+    )
+    sensor_frame: str = parameter(
+        "string",
+        "",
+        "Name of the frame of a force-torque sensor on the gripper, whose wrench ~/<gripper>/ft_sensor_wrench has; "
+        "{gripper} stands for the gripper's name; empty: there is no such topic",
+        constraint=FRAME,
+    )
+    sensor_position: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0, 0.0),
+        "Position of that sensor in the gripper's frame",
+        unit="m",
+        length=3,
+        min=-10.0,
+        max=10.0,
+    )
+    sensor_orientation: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 0.0, 0.0, 1.0),
+        "Orientation of that sensor in the gripper's frame, a quaternion x, y, z, w",
+        length=4,
+        constraint=QUATERNION,
     )

@@ -29,7 +29,7 @@ from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene.build import Sheet, anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
-from cloth_sim_ros.scene.gripper_section import PINCH, PRESCRIBED
+from cloth_sim_ros.scene.gripper_section import NO_ACTION, PINCH, PRESCRIBED
 from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError, parameter, section
@@ -153,6 +153,12 @@ class Scene:
         choices=("stop", "exit"),
         live=True,
         observes=True,
+    )
+    simulation_interfaces: bool = parameter(
+        "bool",
+        False,
+        "Serve the package simulation_interfaces: ~/get_simulator_features, ~/reset_simulation, ~/step_simulation, "
+        "~/simulate_steps, ~/get_simulation_state and ~/set_simulation_state",
     )
     points: PointsParameters = section(PointsParameters)
     keypoints: tuple[str, ...] = parameter(
@@ -302,6 +308,11 @@ class Scene:
     def pinches(self, gripper: str) -> bool:
         """Return True if a gripper is in mode pinch."""
         return bool(self.of_gripper(gripper, "mode") == PINCH)
+
+    @property
+    def has_actions(self) -> bool:
+        """True if at least one gripper has an action server."""
+        return any(self.of_gripper(name, "action") != NO_ACTION for name in self.gripper_names)
 
     def of_gripper(self, gripper: str, leaf: str) -> Any:
         """Return the value of `<gripper>.<leaf>` if set, else of `gripper.<leaf>`; see `gripper_parameters.LEAVES`."""

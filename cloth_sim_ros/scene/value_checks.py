@@ -23,6 +23,9 @@ class SceneValues(Protocol):
     def contact(self) -> sections.ContactParameters: ...
 
     @property
+    def gripper(self) -> sections.GripperParameters: ...
+
+    @property
     def tolerance(self) -> float: ...
 
     @property
@@ -73,7 +76,12 @@ def _faults(scene: SceneValues) -> Iterator[str]:
         yield "frame_id is empty; name the coordinate frame, e.g. 'world'"
     if scene.tf.publish and "cloth" in scene.gripper_names:
         yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
-    try:
-        normalized(scene.cloth.orientation)
-    except ValueError as error:
-        yield f"cloth.orientation: {error}"
+    orientations = {
+        "cloth.orientation": scene.cloth.orientation,
+        "gripper.sensor_orientation": scene.gripper.sensor_orientation,
+    }
+    for name, orientation in orientations.items():
+        try:
+            normalized(orientation)
+        except ValueError as error:
+            yield f"{name}: {error}"

@@ -136,6 +136,10 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX_NUMBER
 
 
+def _is_number_or_absent(value: Any) -> bool:
+    return value is None or _is_number(value)
+
+
 def _are_poses(value: Any) -> bool:
     return isinstance(value, dict) and all(_is_vector(pose) and len(pose) == 7 for pose in value.values())
 
@@ -175,6 +179,9 @@ _EVENT_CHECKS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
     "position": (("target", "move"), _is_vector, "a list of numbers"),
     "orientation": (("target", "move"), lambda value: value is None or _is_vector(value), "numbers or null"),
     "closed": (("grasp",), lambda value: isinstance(value, bool), "true or false"),
+    "opening": (("grasp",), _is_number_or_absent, "a number"),
+    "force": (("grasp",), _is_number_or_absent, "a number"),
+    "speed": (("grasp",), _is_number_or_absent, "a number"),
     "values": (("set_parameters",), lambda value: isinstance(value, dict), "an object"),
     "paused": (("pause",), lambda value: isinstance(value, bool), "true or false"),
     "factor": (("relax",), _is_number, "a number"),

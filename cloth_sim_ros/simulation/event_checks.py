@@ -11,9 +11,10 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.parallel_jaw import NO_SETPOINT
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import normalized, unit_quaternion
-from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, SETPOINTS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.gripper_pads import pads_of
@@ -26,6 +27,8 @@ MAX_COORDINATE = 1e4
 #: Smallest clearance of pads at a stop that a change of thickness may leave, in thicknesses. No impact within the
 #: design range of contact goes deeper.
 _MIN_STOP_CLEARANCE = 0.3
+#: Smallest speed of pads [m/s].
+MIN_PAD_SPEED = 1e-4
 #: Built once, because building a union of types takes longer than the isinstance check.
 _GRIPPER_EVENTS = (Target, Grasp)
 
@@ -60,7 +63,9 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
     """
     if isinstance(event, _GRIPPER_EVENTS):
         _check_name("gripper", event.gripper, scene.grippers)
-    if isinstance(event, Target):
+    if isinstance(event, Grasp):
+        _check_grasp(event, scene, state)
+    elif isinstance(event, Target):
         _check_pose(event.gripper, event.position, event.orientation)
         _check_pads(event, scene, state)
     elif isinstance(event, Move):
@@ -81,6 +86,35 @@ def _check_name(kind: str, name: str, known: Sequence[str]) -> None:
     if not name or name not in known:
         known_names = ", ".join(filter(None, known)) or "none"
         raise EventError(f"there is no {kind} '{name}'; this cloth has {known_names}")
+
+
+def _check_grasp(event: Grasp, scene: Scene, state: State) -> None:
+    """Refuse an opening, force or speed that the pads of a gripper cannot have, and pads beyond their stop."""
+    name, opening, widest = event.gripper, event.opening, scene.gripper.opening
+    if not scene.pinches(name):
+        if opening is not None or event.force or event.speed:
+            raise EventError(
+                f"grasp of '{name}' has an opening, a force or a speed, and it has no pads: set {name}.mode to pinch"
+            )
+        return
+    if opening is not None and not 0.0 <= opening <= widest:
+        raise EventError(f"opening of '{name}' is {opening} m; it must be from 0 to {widest:g} m (gripper.opening)")
+    if opening is not None and JAWS_KEY in state.memory:
+        k, thickness = scene.pinching.index(name), scene.contact.thickness
+        half_opening = float(state.memory[JAWS_KEY][k, 0])
+        inner, outer = pads_of(scene, 1.0)[k].stops(event.closed, 0.5 * opening, thickness)
+        if _stop_clearance(half_opening, inner, outer, thickness) < _MIN_STOP_CLEARANCE * thickness:
+            command, remedy = ("close", "open") if event.closed else ("open", "close")
+            raise EventError(
+                f"opening of '{name}' is {opening} m, and its pads are {2.0 * half_opening:.4g} m apart; they cannot "
+                f"{command} to that: {remedy} them"
+            )
+    if not 0.0 <= event.force < math.inf:
+        raise EventError(f"force of '{name}' is {event.force} N; it must be finite and at least 0, which means any")
+    if event.speed and not MIN_PAD_SPEED <= event.speed < math.inf:
+        raise EventError(
+            f"speed of '{name}' is {event.speed} m/s; it must be at least {MIN_PAD_SPEED:g} m/s, or 0, which means any"
+        )
 
 
 def _check_pose(name: str, position: Sequence[float], orientation: Sequence[float] | None) -> None:
@@ -130,15 +164,28 @@ def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
     thickness = new_scene.contact.thickness
     if thickness == scene.contact.thickness:
         return
-    jaws = state.memory.get(JAWS_KEY, np.empty((0, 2))).tolist()
-    for pads, (half_opening, _) in zip(pads_of(new_scene, 1.0), jaws, strict=False):
-        clearance = min(half_opening + 0.75 * thickness, 0.5 * pads.opening + thickness - half_opening)
+    memory = state.memory
+    if JAWS_KEY not in memory:
+        return
+    setpoints = (
+        memory[SETPOINTS_KEY][:, 0].tolist() if SETPOINTS_KEY in memory else [NO_SETPOINT[0]] * len(scene.pinching)
+    )
+    indices = [scene.gripper_names.index(name) for name in scene.pinching]
+    drives = zip(memory[JAWS_KEY].tolist(), memory["gripper.closed"][indices].tolist(), setpoints, strict=True)
+    for pads, ((half_opening, _), closed, setpoint) in zip(pads_of(new_scene, 1.0), drives, strict=True):
+        inner, outer = pads.stops(bool(closed), setpoint, thickness)
+        clearance = _stop_clearance(half_opening, inner, outer, thickness)
         if clearance < _MIN_STOP_CLEARANCE * thickness:
             raise EventError(
                 f"contact.thickness is {thickness:.4g} m; it would leave the pads of '{pads.gripper}' {clearance:.4g} "
                 f"m from their stop, and they need {_MIN_STOP_CLEARANCE * thickness:.4g} m; set it once they are at "
                 "rest, or choose a larger one"
             )
+
+
+def _stop_clearance(half_opening: float, inner: float, outer: float, thickness: float) -> float:
+    """Return the smaller gap [m] of a half opening [m] to the stops, see `ParallelJaw.stops`."""
+    return min(half_opening - inner + 0.75 * thickness, outer + thickness - half_opening)
 
 
 def check_new_scene(scene: Scene, new_scene: Scene, state: State) -> None:

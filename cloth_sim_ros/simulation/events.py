@@ -39,11 +39,16 @@ class Move:
 
 @attrs.frozen
 class Grasp:
-    """Closes or opens a gripper."""
+    """Closes or opens a gripper. The other fields are for pads."""
 
     gripper: str
     #: Any truth value, numpy's included.
     closed: bool = attrs.field(converter=bool)
+    #: Distance between the pads' faces at which they stop [m]; None to close or open them entirely.
+    opening: float | None = attrs.field(default=None, converter=attrs.converters.optional(float))
+    #: Largest force of each pad [N] and largest speed [m/s] until the next grasp; 0 for those of the scene.
+    force: float = attrs.field(default=0.0, converter=float)
+    speed: float = attrs.field(default=0.0, converter=float)
 
 
 @attrs.frozen
@@ -93,6 +98,8 @@ _KINDS: dict[str, type] = {
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 #: Names of the fields of each kind, cached because recorded runs have events in most frames.
 _FIELDS = {kind: tuple(field.name for field in attrs.fields(kind)) for kind in _NAMES}
+#: Fields that a dict leaves out if they have their default, because older sessions do not have them.
+_OPTIONAL = {"opening": None, "force": 0.0, "speed": 0.0}
 #: Types of the fields that have no converter.
 _TYPES = {"gripper": str, "obstacle": str, "values": dict, "paused": bool}
 #: Kinds that come before others. Built once, because building a union of types takes longer than the isinstance check.
@@ -124,7 +131,9 @@ def to_dict(event: Event) -> dict[str, Any]:
     kind = type(event)
     content: dict[str, Any] = {"kind": _NAMES[kind]}
     for name in _FIELDS[kind]:
-        content[name] = _plain(getattr(event, name))
+        value = getattr(event, name)
+        if name not in _OPTIONAL or value != _OPTIONAL[name]:
+            content[name] = _plain(value)
     return content
 
 

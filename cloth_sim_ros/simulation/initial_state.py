@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,8 +70,10 @@ def apply_grasp(
     index = grippers.names.index(event.gripper)
     grasped_before = grippers.grasped_particles(index).size
     is_pinching = pinching is not None and event.gripper in pinching.names
-    if is_pinching and event.closed:
-        result = grippers.pinch(event.gripper)
+    if pinching is not None and is_pinching:
+        has_setpoint = event.opening is not None or pinching.setpoint(event.gripper)[0] >= 0.0
+        result = _move_pads(event, grippers, again=has_setpoint)
+        pinching.set_setpoint(event)
     elif event.closed:
         result = grippers.close(event.gripper, model, scene.gripper.radius)
     else:
@@ -81,3 +84,12 @@ def apply_grasp(
     if result.grasped_count != grasped_before or is_pinching:
         wake(state)
     return result
+
+
+def _move_pads(event: Grasp, grippers: Grippers, *, again: bool) -> GraspResult:
+    """Start to close or open the pads of a gripper. Only pads that open to a given distance have a pending result."""
+    if event.closed:
+        return grippers.pinch(event.gripper, again=again)
+    result = grippers.open(event.gripper)
+    is_placed = grippers.is_placed(grippers.names.index(event.gripper))
+    return result if event.opening is None or not is_placed else attrs.evolve(result, reason="", pending=True)

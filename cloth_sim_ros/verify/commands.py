@@ -67,6 +67,8 @@ class CommandCheck:
         #: Bodies that are not compared, with the reason: received commands alone do not move them.
         self._untracked = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}
         self._untracked |= {name: _FOLLOWS for name, obstacle in scene.described.items() if obstacle.frame}
+        #: Grippers that velocities moved.
+        self._twisted: set[str] = set()
         self._waiting: dict[str, list[_PendingTarget]] = {}
         self._newest: dict[str, int] = {}
         self._grasps: dict[str, list[bool]] = {}
@@ -81,6 +83,10 @@ class CommandCheck:
     def receive(self, message: Message, simulation: Simulation) -> None:
         """Store a command that was received after the last frame."""
         name, leaf = self._kinds[message.topic]
+        if leaf == "twist":
+            self._twisted.add(name)
+            self._skip(message.topic, "a velocity, which the node integrates frame by frame")
+            return
         try:
             content = decode(message.data, message.type_name)
             pose = None if leaf == "grasp" else _READERS[leaf](content)
@@ -167,7 +173,7 @@ class CommandCheck:
             received.pop(0)
             self._findings.compared("command")
         else:
-            self._skip("events", "grasp without a message, by a service or gripper.timeout")
+            self._skip("events", "grasp without a message, by a service, an action or gripper.timeout")
 
     def _match_target(self, name: str, event: Mapping[str, Any], stamp: int, *, known: bool) -> None:
         if name in self._untracked:
@@ -177,7 +183,9 @@ class CommandCheck:
         waiting = self._waiting.get(name, [])
         candidates = [target for target in waiting if _is_same_pose(pose, target.pose)]
         if not candidates:
-            if known:
+            if name in self._twisted:
+                self._skip("events", f"target of {name} by a velocity")
+            elif known:
                 reason = f"{name} moved to {list(event['position'])}, which was not commanded"
                 self._findings.difference("command", reason)
             else:
@@ -266,4 +274,4 @@ def _read_point(message: Any) -> _Pose:
     return (message.point.x, message.point.y, message.point.z)
 
 
-_READERS: dict[str, Any] = {"target": _read_pose, "point": _read_point, "grasp": bool}
+_READERS: dict[str, Any] = {"target": _read_pose, "point": _read_point, "grasp": bool, "twist": None}

@@ -22,6 +22,7 @@ _TYPES = {
     "obstacles": markers.MARKERS,
     "state": states.STATUS,
     "target": messages.POSE,
+    "twist": messages.TWIST,
     "point": messages.POINT,
     "grasp": messages.BOOL,
     "tf": messages.TRANSFORMS,

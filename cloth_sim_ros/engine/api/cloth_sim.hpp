@@ -146,8 +146,8 @@ CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t ve
 /// Set new paths of the same obstacles.
 CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths);
 /// Set the obstacles that are jaws, two per gripper, the one on the positive side of the closing axis first. Numbers
-/// per gripper: present, closed, mass [kg], force [N], speed [m/s], half opening of the open gripper and half thickness
-/// of a jaw [m]. Jaws are open initially.
+/// per gripper: present, closed, mass [kg], force [N], speed [m/s], half opening of the open gripper, half thickness of a
+/// jaw and half opening of the closed gripper [m]. Jaws are open initially.
 CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers);
 /// Set the states of the jaws at the start of runs, (jaws, jaw_state_size).
 CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states);

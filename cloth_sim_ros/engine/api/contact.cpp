@@ -48,14 +48,15 @@ CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t
         contact::Contacts& contacts = plan->contacts;
         contacts.parallel_jaws.clear();
         for (std::int64_t k = 0; k < count; ++k) {
-            const double* const a = numbers + 7 * k;
+            const double* const a = numbers + 8 * k;
             contacts.parallel_jaws.push_back({.present = a[0] != 0.0,
                                               .closed = a[1] != 0.0,
                                               .mass = a[2],
                                               .force = a[3],
                                               .speed = a[4],
                                               .max_half_opening = a[5],
-                                              .half_thickness = a[6]});
+                                              .half_thickness = a[6],
+                                              .min_half_opening = a[7]});
             for (int k_jaw = 0; k_jaw < 2; ++k_jaw) {
                 contact::Obstacle& pad = contacts.obstacles[pads[2 * k + k_jaw]];
                 pad.parallel_jaw = k;

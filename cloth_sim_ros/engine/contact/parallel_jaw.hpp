@@ -22,15 +22,17 @@ struct ParallelJaw {
     double mass = 1.0, force = 0.0, speed = 1.0;
     double max_half_opening = 0.0;  ///< half opening of the open gripper [m]
     double half_thickness = 0.0;    ///< half the thickness of a jaw along the closing axis [m]
+    double min_half_opening = 0.0;  ///< half opening of the closed gripper [m]
 
     /// Acceleration [m/s^2] of the half opening under a force of the cloth that opens the jaws, summed over both [N].
     /// The drive has the force-speed line of a motor: stall force at rest, none at the speed without load. The contact
     /// barrier stops the jaws at each other when half a thickness is left between their faces, which is closer than
-    /// cloth between them allows, and at the full opening when a thickness is left.
+    /// cloth between them allows, or that far from a larger smallest opening. It stops them at the full opening when a
+    /// thickness is left.
     double acceleration(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed,
                         double cloth_force) const {
         const double drive_force = 2.0 * force * ((closed ? -1.0 : 1.0) - jaw_speed / speed);
-        const double inner = law.push(half_opening + 0.75 * thickness, -jaw_speed),
+        const double inner = law.push(half_opening - min_half_opening + 0.75 * thickness, -jaw_speed),
                      outer = law.push(max_half_opening + thickness - half_opening, jaw_speed);
         return (cloth_force + drive_force) / mass + (inner - outer);
     }
@@ -41,7 +43,7 @@ struct ParallelJaw {
             const double w = larger(closing, 0.0) / ContactLaw<double>::speed;
             return gap - horizon * larger(closing, 0.0) < thickness ? w * w + law.shape(gap) : 0.0;
         };
-        return larger(at(half_opening + 0.75 * thickness, -jaw_speed),
+        return larger(at(half_opening - min_half_opening + 0.75 * thickness, -jaw_speed),
                       at(max_half_opening + thickness - half_opening, jaw_speed));
     }
     /// Rate of the half opening [m/s] of jaws that move as fast as they may within a duration [s]: at the speed without

@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.arithmetic.arrays import combine
 from cloth_sim_ros.physics.contact import self_contact_binding
 from cloth_sim_ros.physics.contact.feature_binding import FeatureBinding, upload_meshes
 from cloth_sim_ros.physics.contact.implicit_jaws import step_jaws
+from cloth_sim_ros.physics.contact.parallel_jaw import NO_SETPOINT
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.controls import ThicknessRecovery
 from cloth_sim_ros.physics.model.forces.contact import Contact
@@ -115,7 +116,7 @@ class ContactBinding(Uncopyable):
         """
         if memory is MISSING_MEMORY:
             raise ValueError("contact depends on the memory of the state; pass State.memory, or {} for an empty one")
-        force, (controlled_paths, commands, recovery) = self.force, self.force.controls
+        force, (controlled_paths, commands, recovery, setpoints) = self.force, self.force.controls
         if controlled_paths is not self._paths:
             paths = np.array(controlled_paths, dtype=np.float64)
             if paths.shape != (self.count, PATH_NUMBERS):
@@ -127,7 +128,11 @@ class ContactBinding(Uncopyable):
             self._paths = controlled_paths
         if commands is not self._jaw_commands:
             boxes = np.arange(force.n_solids, self.count, dtype=np.int64)
-            rows = [jaw.engine_row(*flags) for jaw, flags in zip(force.jaws, commands.tolist(), strict=True)]
+            targets = [NO_SETPOINT] * len(force.jaws) if setpoints is None else setpoints.tolist()
+            rows = [
+                jaw.engine_row(present, closed, target, force.thickness)
+                for jaw, (present, closed), target in zip(force.jaws, commands.tolist(), targets, strict=True)
+            ]
             drives = np.array(rows).reshape(len(rows), binding.DRIVE_NUMBERS)
             check(self._library.cloth_plan_jaws(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
             self._jaw_commands = commands

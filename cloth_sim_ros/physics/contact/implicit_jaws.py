@@ -39,8 +39,8 @@ def step_jaws(
             None if only particles meet them.
     """
     half_opening, jaw_speed = start.T.copy()
-    opening = np.array([0.5 * jaw.opening for jaw in force.jaws])
-    low, high = (-0.75 * force.thickness - half_opening) / h, (opening + force.thickness - half_opening) / h
+    inner, outer = _stops(force)
+    low, high = (inner - 0.75 * force.thickness - half_opening) / h, (outer + force.thickness - half_opening) / h
     is_clear = np.isfinite(accelerations(np.stack([half_opening, np.zeros_like(half_opening)], axis=1)))
     for _ in range(_BISECTIONS):
         mid_speed = 0.5 * (low + high)
@@ -54,3 +54,12 @@ def step_jaws(
         low, high = np.where(inward, low, mid_speed), np.where(inward, mid_speed, high)
     mid_speed = np.where(force.jaw_commands[:, 0], high, 0.0)
     return np.stack([half_opening + h * mid_speed, mid_speed], axis=1)
+
+
+def _stops(force: Contact) -> tuple[Array, Array]:
+    """Return the half openings [m] of the closed and of the open grippers, each of shape (pinches,)."""
+    setpoints, closed = force.controls.jaw_setpoints, force.jaw_commands[:, 1].tolist()
+    targets = [-1.0] * len(force.jaws) if setpoints is None else setpoints[:, 0].tolist()
+    jaws = zip(force.jaws, closed, targets, strict=True)
+    stops = np.array([jaw.stops(closes, target, force.thickness) for jaw, closes, target in jaws])
+    return stops[:, 0], stops[:, 1]

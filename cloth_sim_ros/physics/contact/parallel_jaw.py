@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import attrs
@@ -14,6 +15,8 @@ from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
 #: Time in which a drive without load reaches its speed [s].
 DRIVE_LAG = 1e-3
+#: Setpoint of a drive without one: half opening [m], force [N] and speed [m/s].
+NO_SETPOINT = (-1.0, 0.0, 0.0)
 
 
 def _floats(values: Any) -> tuple[float, ...]:
@@ -74,15 +77,46 @@ class ParallelJaw:
         extent = self.opening + y
         return math.sqrt(0.25 * (x * x + z * z) + extent * extent)
 
-    def engine_row(self, present: bool, closed: bool) -> tuple[float, ...]:
+    def limited(self, force: float, speed: float) -> ParallelJaw:
+        """Return the jaws with a force [N] and a speed [m/s] of at most these; 0 for no such limit."""
+        new_force, new_speed = min(force or self.force, self.force), min(speed or self.speed, self.speed)
+        if (new_force, new_speed) == (self.force, self.speed):
+            return self
+        cloth_mass = self.inertia - drive_inertia(0.0, self.force, self.speed)
+        inertia = drive_inertia(cloth_mass, new_force, new_speed)
+        return attrs.evolve(self, force=new_force, speed=new_speed, inertia=inertia)
+
+    def stops(self, closed: bool, half_opening: float, thickness: float) -> tuple[float, float]:
+        """Return the half openings [m] of the closed and of the open gripper that the drive moves to.
+
+        The stop towards which the drive moves begins to act at the commanded half opening. Jaws that close entirely
+        stop at each other, so that cloth between them acts first.
+
+        Args:
+            closed: true if the jaws close.
+            half_opening: commanded half opening [m]; below 0 for none.
+            thickness: contact thickness [m].
+        """
+        widest = 0.5 * self.opening
+        if half_opening < 0.0:
+            return 0.0, widest
+        return (max(half_opening - 0.25 * thickness, 0.0), widest) if closed else (0.0, min(half_opening, widest))
+
+    def engine_row(
+        self, present: bool, closed: bool, setpoint: Sequence[float] = NO_SETPOINT, thickness: float = 0.0
+    ) -> tuple[float, ...]:
         """Return the engine's row of a drive, see `binding.DRIVE_NUMBERS`.
 
         Args:
             present: true if the gripper has a pose.
             closed: true if the jaws close.
+            setpoint: commanded half opening [m], force [N] and speed [m/s], as in `ContactControls.jaw_setpoints`.
+            thickness: contact thickness [m].
         """
-        state = float(present), float(closed)
-        return (*state, self.inertia, self.force, self.speed, 0.5 * self.opening, 0.5 * self.size[1])
+        half_opening, force, speed = setpoint
+        drive, (inner, outer) = self.limited(force, speed), self.stops(closed, half_opening, thickness)
+        flags = float(present), float(closed)
+        return (*flags, drive.inertia, drive.force, drive.speed, outer, 0.5 * self.size[1], inner)
 
 
 def drive_inertia(cloth_mass: float, force: float, speed: float) -> float:

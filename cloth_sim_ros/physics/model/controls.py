@@ -128,6 +128,10 @@ class ContactControls(NamedTuple):
     #: For each gripper that pinches: whether it is present, and whether it closes, shape (pinches, 2).
     jaw_commands: NDArray[np.bool_]
     recovery: ThicknessRecovery = ThicknessRecovery()
+    #: For each gripper that pinches: commanded half opening [m], largest force [N] and largest speed [m/s], shape
+    #: (pinches, 3). A half opening below 0 stands for none, and 0 for the drive's own force and speed. None without a
+    #: command.
+    jaw_setpoints: Array | None = None
 
 
 class Controls(NamedTuple):

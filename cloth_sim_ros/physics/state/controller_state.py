@@ -255,6 +255,8 @@ ANCHORS_KEY = "contact.anchors"
 LAYER_SIDES = 2
 #: Key of the jaw states of parallel grippers, shape (grippers, 2): half opening [m] and its rate [m/s].
 JAWS_KEY = "contact.pinched"
+#: Key of the setpoints of parallel grippers, see `ContactControls.jaw_setpoints`; present once one is commanded.
+SETPOINTS_KEY = "contact.setpoints"
 #: Key of contact thicknesses [m], present while some are reduced, shape (obstacles + 1, particles + 1). Rows: each
 #: obstacle, jaws included; the last row is self-contact. Columns: each particle; the last one is obstacle edges.
 THICKNESS_KEY = "contact.thickness"

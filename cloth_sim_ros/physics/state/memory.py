@@ -14,6 +14,7 @@ from cloth_sim_ros.physics.state.controller_state import (
     JAWS_AT_REST_KEY,
     JAWS_KEY,
     JOINTS_KEY,
+    SETPOINTS_KEY,
     THICKNESS_KEY,
     SleepState,
 )
@@ -101,6 +102,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
     for name, (dtype, length) in {
         JAWS_KEY: (_FLOAT, (n_pinches, 2)),
         JAWS_AT_REST_KEY: (_BOOL, (n_pinches,)),
+        SETPOINTS_KEY: (_FLOAT, (n_pinches, 3)),
     }.items():
         if name in memory:
             _check_array(name, memory[name], dtype, length)

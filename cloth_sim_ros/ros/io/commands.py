@@ -10,10 +10,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped, PoseStamped, TwistStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
@@ -32,6 +32,9 @@ from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.io.twists import TwistCommands
 
 #: Best effort, so that any publisher matches; only the newest target counts.
 TARGET_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -64,6 +67,9 @@ class CommandSubscriptions:
     ) -> None:
         self._node, self._clock, self._check, self._queue = node, node.get_clock(), simulation.check, queue
         self._frames, self._sink, self._log, self._lock = frames, sink, log, lock
+        self._simulation, self._scene = simulation, simulation.scene
+        #: Commanded velocities of the grippers; None without their topics.
+        self.twists: TwistCommands | None = None
         self._grippers = simulation.scene.gripper_names
         self._gates = {name: StampGate() for name in self._grippers}
         self._obstacles: dict[str, Subscription] = {}
@@ -77,6 +83,13 @@ class CommandSubscriptions:
 
     def subscribe(self) -> None:
         """Subscribe to the topics of the grippers. From then on every matched publisher is served."""
+        if self._grippers and self._scene.gripper.twist_max_speed:
+            from cloth_sim_ros.ros.io.twists import TwistCommands
+
+            name = self._node.get_fully_qualified_name()
+            self.twists = TwistCommands(self._simulation, self._frames, name, self._log)
+            for gripper in self._grippers:
+                self._create_subscription(gripper, "twist", TwistStamped, TARGET_QOS, self._twist)
         for gripper in self._grippers:
             for leaf, kind, qos, on_message in (
                 ("target", PoseStamped, TARGET_QOS, functools.partial(self._pose, Target)),
@@ -151,6 +164,8 @@ class CommandSubscriptions:
         for gate in self._gates.values():
             gate.reset()
         self._last_target_times.clear()
+        if self.twists is not None:
+            self.twists.clear()
 
     def _receive(self, name: str, leaf: str, kind: Any, data: bytes, on_message: Callable[[Any], None]) -> None:
         try:
@@ -203,6 +218,8 @@ class CommandSubscriptions:
         n_evicted = self._queue.n_evicted
         self._queue.put(event, stamp=self._gates[name].accept(stamp, now))
         self._last_target_times[name] = now
+        if self.twists is not None:
+            self.twists.stop(name)
         if self._queue.n_evicted > n_evicted:
             self._log.warn(
                 "displaced",
@@ -210,6 +227,11 @@ class CommandSubscriptions:
                 f"{self._queue.n_evicted} so far: does /clock stand still, or does a sender flood?",
             )
         self._log.debug(functools.partial(_describe_command, event, stamp))
+
+    def _twist(self, gripper: str, message: TwistStamped, now: int) -> None:
+        assert self.twists is not None
+        self.twists.receive(gripper, message, now)
+        self._last_target_times[gripper] = now
 
     def _grasp(self, gripper: str, message: Bool, _now: int) -> None:
         event = Grasp(gripper, bool(message.data))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 
@@ -18,7 +18,12 @@ from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.simulation.events import Event, SetParameters
+from cloth_sim_ros.simulation.frame import Frame
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.io.gripper_actions import GripperActions
+    from cloth_sim_ros.ros.io.simulation_interfaces import SimulationInterfaces
 
 
 class Inputs:
@@ -45,10 +50,56 @@ class Inputs:
         self.services = Services(node, timing, recording, failure)
         self.parameters = LiveParameters(node, scene, self._change_parameters, self._check_parameters, failure.lock)
 
+        self._log, self._failure = log, failure
+        #: Action servers of the grippers; None if no gripper has one.
+        self.actions: GripperActions | None = None
+        #: Servers of simulation_interfaces; None if they are not requested.
+        self.interfaces: SimulationInterfaces | None = None
+
     def start(self) -> None:
-        """Subscribe to the commands of the grippers, and create the services."""
+        """Subscribe to the commands of the grippers, and create the services and actions."""
         self.commands.subscribe()
         self.services.serve()
+        if self._simulation.scene.has_actions:
+            from cloth_sim_ros.ros.io.gripper_actions import GripperActions
+
+            self.actions = GripperActions(self._node, self._simulation, self._queue, self._failure, self._log)
+            self.actions.serve()
+
+        if self._simulation.scene.simulation_interfaces:
+            from cloth_sim_ros.ros.io.simulation_interfaces import SimulationInterfaces
+
+            self.interfaces = SimulationInterfaces(self._node, self.services)
+            self.interfaces.serve()
+
+    def events(self, stamp: int) -> list[Event]:
+        """Return the events of followed frames and commanded velocities, for the frame due at a ROS time [ns]."""
+        twists = self.commands.twists
+        return [*self.tf_follower.events(stamp), *([] if twists is None else twists.events(stamp))]
+
+    def answer(self, frame: Frame) -> None:
+        """Answer the requests and goals whose grasps ended in a frame."""
+        self.services.answer_grasps(frame)
+        if self.actions is not None:
+            self.actions.answer(frame)
+
+    def expire(self) -> None:
+        """Answer requests that have waited too long. Call it periodically."""
+        self.services.expire_requests()
+        if self.actions is not None:
+            self.actions.expire()
+
+    def fail(self, reason: str, stamp: int) -> None:
+        """Answer the requests and goals that wait for pads, because a frame failed."""
+        self.services.fail(reason, stamp)
+        if self.actions is not None:
+            self.actions.fail(reason, stamp)
+
+    def close(self) -> None:
+        """Remove the actions, which rclpy's node keeps."""
+        for servers in (self.actions, self.interfaces):
+            if servers is not None:
+                servers.close()
 
     def return_parameters(self, reason: str) -> None:
         """Set the parameters back to those in force, because accepted ones could not take effect."""

@@ -31,6 +31,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.ros.io.ground_truth import CoverageTopic, KeypointTopic
+    from cloth_sim_ros.ros.io.sensor_wrenches import SensorWrenches
 
 #: Publication period of a paused cloth [s]: late subscribers receive it, and recordings stay small.
 _PAUSED_PERIOD = 1.0
@@ -124,6 +125,11 @@ class Outputs:
             from cloth_sim_ros.ros.io.ground_truth import ground_truth_topics
 
             self.ground_truth = ground_truth_topics(node, simulation, sink)
+        self._sensors: SensorWrenches | None = None
+        if simulation.scene.gripper_names and simulation.scene.gripper.sensor_frame:
+            from cloth_sim_ros.ros.io.sensor_wrenches import SensorWrenches
+
+            self._sensors = SensorWrenches(node, simulation, sink)
         #: Steady time of the last frame that was due [s]; None before the first.
         self._last_published: float | None = None
 
@@ -145,6 +151,8 @@ class Outputs:
         state = self._simulation.state
         fields = self._simulation.scene.points
         self.cloth.send(state.x, frame.wrenches, stamp, velocities=state.v, fields=fields)
+        if self._sensors is not None:
+            self._sensors.send(frame.wrenches, stamp)
         self.states.show(frame, stamp)
         self.clock.send(frame.time)
         self.obstacles.send(frame, stamp)

@@ -58,6 +58,8 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
     out += ["~/keypoints"] if any(scene.keypoints) else []
     out += ["~/coverage"] if scene.coverage.obstacle else []
     into = [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("target", "point", "grasp")]
+    into += [f"~/{name}/twist" for name in scene.gripper_names if scene.gripper.twist_max_speed]
+    out += [f"~/{name}/ft_sensor_wrench" for name in scene.gripper_names if scene.gripper.sensor_frame]
     into += [f"~/{name}/target" for name in scene.described]
     return {PUBLISHER: out, SUBSCRIPTION: into}
 

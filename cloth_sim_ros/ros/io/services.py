@@ -68,6 +68,11 @@ class Services:
                 SetBool, f"~/{gripper}/close", functools.partial(self._on_close, gripper), callback_group=group
             )
 
+    @property
+    def user_paused(self) -> bool:
+        """The pause that the user requested."""
+        return self._clock_pause.user_paused
+
     def expire_requests(self) -> None:
         """Answer requests that have waited too long. Call it periodically."""
         now = time.monotonic()
@@ -105,7 +110,7 @@ class Services:
         for gripper, _, future in closing:
             future.set_result(GraspResult(gripper, True, 0, f"failed: {reason}"))
 
-    async def _enqueue(self, event: Event, *, pads_result: Future | None = None) -> EventResult:
+    async def enqueue(self, event: Event, *, pads_result: Future | None = None) -> EventResult:
         """Queue an event and wait for its frame.
 
         Args:
@@ -133,11 +138,11 @@ class Services:
         return result
 
     async def _on_reset(self, _request: Any, response: Any) -> Any:
-        return _fill_response(response, await self._enqueue(Reset()), "reset")
+        return _fill_response(response, await self.enqueue(Reset()), "reset")
 
     async def _on_pause(self, request: Any, response: Any) -> Any:
         done = "paused" if request.data else "running"
-        return _fill_response(response, await self._enqueue(Pause(bool(request.data))), done)
+        return _fill_response(response, await self.enqueue(Pause(bool(request.data))), done)
 
     async def _on_step(self, _request: Any, response: Any) -> Any:
         with self._lock:
@@ -147,11 +152,11 @@ class Services:
         if refusal:
             response.success, response.message = False, refusal
             return response
-        return _fill_response(response, await self._enqueue(Step()), "one frame passed")
+        return _fill_response(response, await self.enqueue(Step()), "one frame passed")
 
     async def _on_close(self, gripper: str, request: Any, response: Any) -> Any:
         pads_result: Future = Future()
-        result = await self._enqueue(Grasp(gripper, bool(request.data)), pads_result=pads_result)
+        result = await self.enqueue(Grasp(gripper, bool(request.data)), pads_result=pads_result)
         grasp = result.grasp
         if grasp is None:
             return _fill_response(response, result, "")

@@ -156,11 +156,11 @@ def _contact_controls(
     """Return controls of contact without recovery, from the paths of obstacles and of grippers."""
     if rows is None and pinching is None:
         return force.controls
-    paths, commands = [] if rows is None else [rows], force.controls.jaw_commands
+    paths, commands, setpoints = [] if rows is None else [rows], force.controls.jaw_commands, None
     if pinching is not None and gripper_paths is not None:
         paths.append(pinching.rows(gripper_paths))
-        commands = pinching.drive_flags()
-    return ContactControls(np.concatenate(paths), commands, ThicknessRecovery(t))
+        commands, setpoints = pinching.drive_flags(), pinching.setpoints
+    return ContactControls(np.concatenate(paths), commands, ThicknessRecovery(t), setpoints)
 
 
 def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, duration: float) -> list[int]:

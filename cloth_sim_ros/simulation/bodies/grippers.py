@@ -43,8 +43,10 @@ class GraspResult:
     grasped_count: int
     #: Reason if it grasps nothing or nothing changed; else empty.
     reason: str = ""
-    #: True if its pads have started to close; `Frame.pinches` reports their rest.
+    #: True if its pads have started to move; `Frame.pinches` reports their rest.
     pending: bool = False
+    #: False if its pads came to rest before the commanded opening, because cloth is between them.
+    reached: bool = True
 
 
 class Grippers:
@@ -206,10 +208,10 @@ class Grippers:
         pose = self._state.memory["gripper.pose"][g]
         self._replace(g, particles, to_body_frame(pose, self._state.x[:, particles]))
 
-    def pinch(self, name: str) -> GraspResult:
-        """Start closing the pads of a gripper."""
+    def pinch(self, name: str, *, again: bool = False) -> GraspResult:
+        """Start closing the pads of a gripper. With `again`, closed pads start again, towards another opening."""
         memory, g = self._state.memory, self.names.index(name)
-        if memory["gripper.closed"][g]:
+        if memory["gripper.closed"][g] and not again:
             return GraspResult(name, True, 0, "it is closed already: open it first")
         writable(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:

@@ -7,15 +7,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.contact.parallel_jaw import NO_SETPOINT, ParallelJaw
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import JAWS_AT_REST_KEY, JAWS_KEY
+from cloth_sim_ros.physics.state.controller_state import JAWS_AT_REST_KEY, JAWS_KEY, SETPOINTS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.bodies.kinematic_bodies import writable
 from cloth_sim_ros.simulation.bodies.obstacles import gaps
+from cloth_sim_ros.simulation.events import Grasp
 
 #: Pads are at rest if their speed and residual force are below this fraction of the drive's speed and force.
 _REST_FRACTION = 1e-3
@@ -74,6 +75,35 @@ class ParallelGrippers:
             gripper_wrenches[index] += left + right
         return obstacle_wrenches[:n_obstacles]
 
+    def setpoint(self, name: str) -> tuple[float, float, float]:
+        """Return a gripper's commanded half opening [m], force [N] and speed [m/s], or `NO_SETPOINT`."""
+        setpoints = self.setpoints
+        return NO_SETPOINT if setpoints is None else tuple(setpoints[self.names.index(name)].tolist())
+
+    @property
+    def setpoints(self) -> Array | None:
+        """The setpoints, see `ContactControls.jaw_setpoints`."""
+        return self._state.memory.get(SETPOINTS_KEY)
+
+    def set_setpoint(self, event: Grasp) -> None:
+        """Store the opening, force and speed of a grasp, or that it has none."""
+        if event.opening is None and not event.force and not event.speed and self.setpoints is None:
+            return
+        self._state.memory.setdefault(SETPOINTS_KEY, np.array([NO_SETPOINT] * len(self.pads)))
+        half_opening = NO_SETPOINT[0] if event.opening is None else 0.5 * event.opening
+        writable(self._state, SETPOINTS_KEY)[self.names.index(event.gripper)] = half_opening, event.force, event.speed
+
+    def drive(self, name: str) -> tuple[float, float, float]:
+        """Return the distance between a gripper's pads [m], its rate [m/s], and the force of the drive at each pad [N].
+
+        The force closes the pads if it is above 0.
+        """
+        k = self.names.index(name)
+        half_opening, jaw_speed = self._state.memory[JAWS_KEY][k].tolist()
+        _, force, speed = self.setpoint(name)
+        jaw, direction = self.pads[k].limited(force, speed), 1.0 if self.drive_flags()[k, 1] else -1.0
+        return 2.0 * half_opening, 2.0 * jaw_speed, jaw.force * (direction + jaw_speed / jaw.speed)
+
     def await_rest(self, name: str) -> None:
         """Request a report when the pads of a gripper come to rest."""
         writable(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
@@ -87,23 +117,36 @@ class ParallelGrippers:
         return int(counts.min())
 
     def report_rested(self, plan: Plan, t: float) -> list[GraspResult]:
-        """Return results of the grippers whose closed pads came to rest in the frame that ended at time t [s]."""
+        """Return results of the grippers whose pads came to rest in the frame that ended at time t [s].
+
+        Pads that open entirely are not reported.
+        """
         is_rested = self._state.memory[JAWS_AT_REST_KEY]
         if is_rested.all() or plan.contact is None:
             return []
         results, is_driven = [], self.drive_flags()
         x, v, memory = self._state.x, self._state.v, self._state.memory
         accelerations = plan.contact.jaw_accelerations(t, x, v, memory).tolist()
-        for k, (jaw, (_, jaw_speed)) in enumerate(zip(self.pads, memory[JAWS_KEY].tolist(), strict=True)):
-            if is_rested[k] or not is_driven[k].all():
+        for k, (pads, (half_opening, jaw_speed)) in enumerate(zip(self.pads, memory[JAWS_KEY].tolist(), strict=True)):
+            is_placed, is_closed = is_driven[k].tolist()
+            setpoint, force, speed = self.setpoint(pads.gripper)
+            if is_rested[k] or not is_placed or not (is_closed or setpoint >= 0.0):
                 continue
+            jaw = pads.limited(force, speed)
             is_moving = abs(jaw_speed) > _REST_FRACTION * jaw.speed
             if is_moving or abs(accelerations[k]) * jaw.inertia > _REST_FRACTION * 2.0 * jaw.force:
                 continue
             writable(self._state, JAWS_AT_REST_KEY)[k] = True
             n_grasped = self.grasped_count(plan, t, jaw.gripper)
-            reason = "" if n_grasped else "its pads closed with no particle between them"
-            results.append(GraspResult(jaw.gripper, True, n_grasped, reason))
+            thickness = plan.contact.force.thickness
+            is_at_stop = half_opening < jaw.stops(True, setpoint, thickness)[0] + 0.25 * thickness
+            reached = not is_closed or (is_at_stop and (n_grasped == 0 or setpoint > 0.0))
+            reason = ""
+            if setpoint > 0.0 and reached:
+                reason = f"its pads are {2.0 * setpoint:.4g} m apart, as commanded"
+            elif not n_grasped:
+                reason = "its pads closed with no particle between them"
+            results.append(GraspResult(jaw.gripper, is_closed, n_grasped, reason, reached=reached))
         return results
 
 

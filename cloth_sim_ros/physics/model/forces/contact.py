@@ -189,6 +189,6 @@ class Contact(EngineForce):
 
     def steady(self) -> bool:
         """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
-        paths, _, recovery = self.controls
+        paths, recovery = self.controls.paths, self.controls.recovery
         moves = bool(self.obstacles) and (paths[:, 4:13].any() or paths[:, 17:26].any())
         return recovery.target is None and not moves
