@@ -13,6 +13,7 @@ import bisect
 import itertools
 import struct
 import time
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import NamedTuple
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session import messages
@@ -42,8 +44,18 @@ _FRAME_LEAF = "/frame"
 _LAG = 64
 #: Largest number of stamps whose clouds and wrenches wait for their frame.
 _MAX_WAITING = 4 * _LAG
-#: Number of different reasons why messages cannot be read that are reported.
-_MAX_REASONS = 5
+#: Number of bytes of such clouds and wrenches above which frames are run sooner.
+_MAX_WAITING_BYTES = 1 << 30
+#: Size of a message in memory besides its bytes.
+_MESSAGE_SIZE = 200
+#: Largest number of snapshots that wait for their record.
+_MAX_SNAPSHOTS = 64
+#: Number of compared clouds and wrenches that are recognised if they repeat.
+_MAX_REPEATED = 2048
+#: Number of different reasons why messages cannot be read that are reported, and of gaps.
+_MAX_REASONS, _MAX_GAPS = 5, 20
+#: Limits of a record's number, and of its time, which ROS holds as int32 seconds [ns].
+_MAX_SEQUENCE, _MAX_STAMP = 1 << 63, 10**9 << 31
 
 
 class _Key(NamedTuple):
@@ -74,6 +86,10 @@ class _Contents:
     """Index by identifier of the node's run."""
     frames: dict[_Key, int] = field(default_factory=dict)
     """Frame number of each record."""
+    hashes: dict[_Key, int] = field(default_factory=dict)
+    """Hash of each record's bytes."""
+    conflict_count: int = 0
+    """Number of records that differ from an earlier one of the same number."""
     snapshots: set[_Key] = field(default_factory=set)
     """Next record of each snapshot."""
     unreadable: dict[str, int] = field(default_factory=dict)
@@ -107,9 +123,12 @@ def verify_bag(path: Path, *, on_frame: Callable[[], object] = lambda: None) -> 
         runs[node] = _BagRun(node, content, Findings(Verdict(name=name)), on_frame)
         runs[node].report_missing(damage)
     for message in _messages(files, []):
-        for node, run in runs.items():
-            if message.topic.startswith(f"{node}/"):
-                run.add(message)
+        # Below the node's name there is its topic, or one of a gripper or an obstacle.
+        node = message.topic.rpartition("/")[0]
+        for owner in (node, node.rpartition("/")[0]):
+            if owner in runs:
+                runs[owner].add(message)
+                break
     return [run.end() for run in runs.values()]
 
 
@@ -134,7 +153,9 @@ def _read_contents(stream: Iterator[Message]) -> dict[str, _Contents]:
         try:
             if is_frame:
                 pending = _read_record(message, content)
+                digest = hash(message.data)
                 content.frames.setdefault(pending.key, pending.record.frame)
+                content.conflict_count += content.hashes.setdefault(pending.key, digest) != digest
             else:
                 snapshot = read_snapshot(message.data)
                 content.snapshots.add(content.key(snapshot.session, snapshot.sequence))
@@ -148,8 +169,10 @@ def _read_contents(stream: Iterator[Message]) -> dict[str, _Contents]:
 def _read_record(message: Message, content: _Contents) -> _PendingRecord:
     record = FrameRecord.from_json(decode_string(message.data))
     session, sequence, stamp = (record.extras.get(name) for name in ("session", "sequence", "stamp"))
-    if not (isinstance(session, str) and isinstance(sequence, int) and isinstance(stamp, int)):
+    if not (isinstance(session, str) and type(sequence) is int and type(stamp) is int):
         raise SessionError("its extras lack session, sequence or stamp")
+    if not (0 <= sequence < _MAX_SEQUENCE and 0 <= stamp < _MAX_STAMP):
+        raise SessionError("its sequence or its stamp is out of range")
     return _PendingRecord(content.key(session, sequence), record, stamp)
 
 
@@ -166,56 +189,82 @@ class _BagRun:
     def __init__(self, node: str, content: _Contents, findings: Findings, on_frame: Callable[[], object]) -> None:
         self._node, self._content, self._findings, self._on_frame = node, content, findings, on_frame
         self._topic, self._points, self._topology = f"{node}{_FRAME_LEAF}", f"{node}/points", f"{node}/topology"
+        self._snapshot_topic = f"{node}{SNAPSHOT_LEAF}"
         self._start_time = time.perf_counter()
         #: Records from which a part of the bag is run, each with a snapshot before it.
-        self._starts = set(_starts(content))
+        self._starts = sorted(_starts(content))
+        self._is_start = set(self._starts).__contains__
         self._pending: list[_PendingRecord] = []
+        self._seen: set[_Key] = set()
         self._last_key = _Key(-1, 0)
         self._snapshots: dict[_Key, BagSnapshot] = {}
         #: Clouds and wrenches by stamp [ns] and topic; several of one stamp if the clock jumped back.
-        self._outputs: dict[int, dict[str, list[Message]]] = {}
-        self._topology_message: Message | None = None
+        self._outputs: dict[int, dict[str, deque[Message]]] = {}
+        self._waiting_bytes = 0
+        #: Hashes of the last compared clouds and wrenches by stamp [ns] and topic.
+        self._compared: dict[tuple[int, str], int] = {}
+        #: First and last stamp of the last parts that were run [ns].
+        self._parts: deque[tuple[int, int]] = deque(maxlen=8)
+        #: Number of messages without their frame, by topic, between the first and the last stamp of a part.
+        self._stray: Counter[str] = Counter()
+        self._late_records = 0
+        #: Topologies behind the last snapshot from which frames were run.
+        self._topologies: list[Message] = []
         self._next: _Key | None = None
         self._simulation: Simulation | None = None
         self._has_clouds = False
         self._missing_clouds = 0
+        self._wrench_topics: set[str] = set()
 
     def report_missing(self, damage: list[str]) -> None:
         """Report damaged files, unreadable messages, and the frame records that are missing between others."""
-        verdict, frames = self._findings.verdict, self._content.frames
+        verdict = self._findings.verdict
         unreadable = (
             f"{pluralize(count, 'message')} of {reason}" for reason, count in self._content.unreadable.items()
         )
         verdict.missing += [*damage, *unreadable]
         if not self._content.snapshots:
             verdict.missing.append(f"no message of {self._node}{SNAPSHOT_LEAF}, from which the frames could be run")
-        keys = sorted(frames)
-        first = min(self._starts, default=None)
-        for before, after in itertools.pairwise(keys):
-            # A new run of the node begins with a snapshot; before the first one nothing is run.
-            if after == before.successor or before.session != after.session or first is None or before < first:
+        if count := self._content.conflict_count:
+            verdict.missing.append(f"{pluralize(count, 'message')} of {self._topic} with another content for one frame")
+        gaps = self._gaps()
+        verdict.missing += itertools.islice(gaps, _MAX_GAPS)
+        if n_more := sum(1 for _ in gaps):
+            verdict.missing.append(f"{pluralize(n_more, 'further gap')} of the records")
+        verdict.damaged = bool(verdict.missing or not self._starts)
+
+    def _gaps(self) -> Iterator[str]:
+        """Yield a sentence for each gap between the records behind the first start."""
+        frames, starts = self._content.frames, self._starts
+        for before, after in itertools.pairwise(sorted(frames)):
+            # Before the first snapshot nothing is run.
+            if after == before.successor or not starts or before < starts[0]:
                 continue
-            count = pluralize(after.sequence - before.sequence - 1, "record")
-            resumed = min((start for start in self._starts if start >= after), default=None)
-            end = "nothing behind them is run" if resumed is None else f"the run goes on with frame {frames[resumed]}"
-            verdict.missing.append(f"{count} between frames {frames[before]} and {frames[after]}; {end}")
-            verdict.damaged = True
-        verdict.damaged = bool(verdict.damaged or damage or self._content.unreadable or not self._starts)
+            index = bisect.bisect_left(starts, after)
+            end = (
+                f"the run goes on with frame {frames[starts[index]]}"
+                if index < len(starts)
+                else "nothing behind them is run"
+            )
+            if before.session == after.session:
+                count = pluralize(after.sequence - before.sequence - 1, "record")
+                yield f"{count} between frames {frames[before]} and {frames[after]}; {end}"
+            elif not self._is_start(after):
+                yield f"no snapshot before frame {frames[after]}, with which the node began anew; {end}"
 
     def add(self, message: Message) -> None:
         """Add a message of the node."""
         topic = message.topic
         if topic == self._topic:
             self._add_record(message)
-        elif topic == f"{self._node}{SNAPSHOT_LEAF}":
+        elif topic == self._snapshot_topic:
             self._add_snapshot(message)
         elif topic == self._points or (topic.endswith("/wrench") and message.type_name == messages.WRENCH):
-            self._has_clouds = self._has_clouds or topic == self._points
-            self._outputs.setdefault(_header_stamp(message.data), {}).setdefault(topic, []).append(message)
-            if len(self._outputs) > _MAX_WAITING:
-                self._skip_outputs(self._take_outputs(next(iter(self._outputs))))
+            self._add_output(message)
         elif topic == self._topology:
-            self._topology_message = message
+            self._topologies.append(message)
+            if len(self._topologies) > _MAX_SNAPSHOTS:
+                self._skip_topology(self._topologies.pop(0))
         else:
             self._findings.not_compared(topic, "a bag does not hold its frame")
 
@@ -224,13 +273,25 @@ class _BagRun:
         while self._pending:
             self._run(self._pending.pop(0))
         findings, verdict = self._findings, self._findings.verdict
+        self._compare_due_snapshot()
+        self._compare_topologies(is_last=True)
+        if self._snapshots:
+            findings.not_compared(self._snapshot_topic, "of no frame that was run", len(self._snapshots))
         for stamp in list(self._outputs):
             while stamp in self._outputs:
-                self._skip_outputs(self._take_outputs(stamp))
+                self._skip_outputs(stamp, self._take_outputs(stamp))
         if not self._has_clouds:
             findings.absent(self._points)
         elif self._missing_clouds:
             findings.missing(f"{pluralize(self._missing_clouds, 'message')} of {self._points}")
+            # Clouds are there, and not one belongs to a frame.
+            verdict.damaged = verdict.damaged or not verdict.clouds
+        if self._late_records:
+            reason = f"came more than {_LAG} records late or with another node's of this name, and were not run"
+            findings.missing(f"{pluralize(self._late_records, 'message')} of {self._topic} {reason}")
+        for topic, count in self._stray.items():
+            findings.missing(f"the frames of {pluralize(count, 'message')} of {topic}, by their stamps")
+        verdict.damaged = bool(verdict.damaged or self._late_records or self._stray)
         verdict.seconds = time.perf_counter() - self._start_time
         return verdict
 
@@ -239,8 +300,13 @@ class _BagRun:
             pending = _read_record(message, self._content)
         except SessionError:
             return
-        if pending.key <= self._last_key or any(pending.key == entry.key for entry in self._pending):
+        if pending.key in self._seen:
             self._findings.not_compared(self._topic, "a second message of one frame")
+            return
+        self._seen.add(pending.key)
+        if pending.key <= self._last_key:
+            self._findings.not_compared(self._topic, "too late in the bag")
+            self._late_records += 1
             return
         bisect.insort(self._pending, pending, key=lambda entry: entry.key)
         if len(self._pending) > _LAG:
@@ -252,28 +318,49 @@ class _BagRun:
         except SessionError:
             return
         key = self._content.key(snapshot.session, snapshot.sequence)
-        if key > self._last_key:
+        # One behind the last record is compared, too.
+        if key > self._last_key or key == self._next:
             self._snapshots[key] = snapshot
+        else:
+            self._findings.not_compared(self._snapshot_topic, "too late in the bag")
+        if len(self._snapshots) > _MAX_SNAPSHOTS:
+            del self._snapshots[max(self._snapshots)]
+            self._findings.not_compared(self._snapshot_topic, "too early in the bag")
+
+    def _add_output(self, message: Message) -> None:
+        """Keep a cloud or a wrench for its frame. Above the limits, run frames sooner, and drop the oldest ones."""
+        self._has_clouds = self._has_clouds or message.topic == self._points
+        by_topic = self._outputs.setdefault(_header_stamp(message.data), {})
+        by_topic.setdefault(message.topic, deque()).append(message)
+        self._waiting_bytes += len(message.data) + _MESSAGE_SIZE
+        while self._waiting_bytes > _MAX_WAITING_BYTES and self._pending:
+            self._run(self._pending.pop(0))
+        while len(self._outputs) > _MAX_WAITING or self._waiting_bytes > _MAX_WAITING_BYTES:
+            stamp = next(iter(self._outputs))
+            self._skip_outputs(stamp, self._take_outputs(stamp))
 
     def _run(self, pending: _PendingRecord) -> None:
         """Run the frame of a record, if the state before it is known."""
         key, record, stamp = pending
+        self._compare_due_snapshot()
         self._last_key = key
         snapshot = self._snapshots.pop(key, None)
-        self._snapshots = {later: entry for later, entry in self._snapshots.items() if later > key}
-        if snapshot is not None and key in self._starts:
-            self._begin(snapshot)
-        elif snapshot is not None and key == self._next:
-            self._compare_snapshot(snapshot)
+        for earlier in [earlier for earlier in self._snapshots if earlier < key]:
+            del self._snapshots[earlier]
+            self._findings.not_compared(self._snapshot_topic, "of no frame that was run")
+        if self._is_start(key):
+            self._begin(key, snapshot)
         elif key != self._next:
             self._simulation = None
         self._next = key.successor
         simulation, findings, frame_outputs = self._simulation, self._findings, self._take_outputs(stamp)
         if simulation is None:
             findings.not_compared(self._topic, "without a snapshot before it")
-            self._skip_outputs(frame_outputs)
+            for topic in frame_outputs:
+                findings.not_compared(topic, "of no frame that was run")
             return
         verdict = findings.verdict
+        self._extend_part(stamp, is_first=self._is_start(key))
         findings.position = FramePosition(verdict.frames, record.frame, record.time)
         start_time = simulation.time
         verdict.frames += 1
@@ -289,51 +376,92 @@ class _BagRun:
         self._compare_outputs(frame, simulation, stamp, frame_outputs)
         self._on_frame()
 
-    def _begin(self, snapshot: BagSnapshot) -> None:
-        """Begin a part of the bag."""
-        findings, content = self._findings, snapshot.snapshot
+    def _extend_part(self, stamp: int, *, is_first: bool) -> None:
+        """Add the stamp of a frame that is run [ns] to its part of the bag."""
+        first, last = (stamp, stamp) if is_first else self._parts.pop()
+        self._parts.append((min(first, stamp), max(last, stamp)))
+
+    def _begin(self, key: _Key, snapshot: BagSnapshot | None) -> None:
+        """Begin a part of the bag with a record and the snapshot before it."""
+        findings, self._simulation = self._findings, None
+        if snapshot is None:
+            frame = self._content.frames[key]
+            findings.missing(f"the snapshot before frame {frame} among the {_LAG} records around it")
+            findings.verdict.damaged = True
+            return
+        content = snapshot.snapshot
         verdict, metadata = findings.verdict, content.metadata
         try:
             values = recorded_values(content.scene_yaml, node=metadata.get("node", ""))
             simulation = Simulation(Scene.from_parameters(values, files=content.files), State.from_bytes(content.state))
         except ValueError as error:
             findings.missing(f"a snapshot holds no scene that can be run here: {error}")
-            verdict.damaged, self._simulation = True, None
+            verdict.damaged = True
             return
-        self._simulation = simulation
-        self._clouds = outputs.CloudCheck(simulation.scene, findings)
-        if self._topology_message is not None:
-            findings.compared("topology")
-            outputs.compare_topology(self._topology_message, simulation.scene, findings)
-            self._topology_message = None
+        self._simulation, scene = simulation, simulation.scene
+        self._wrench_topics = {f"{self._node}/{name}/wrench" for name in (*scene.gripper_names, *scene.obstacle_names)}
+        self._clouds = outputs.CloudCheck(scene, findings)
+        self._compare_topologies(is_last=False)
         verdict.other_arithmetic = verdict.other_arithmetic or recorder_with_other_arithmetic(metadata)
         environment = [] if verdict.other_arithmetic else differences(metadata)
         absent = sorted(set(simulation.scene.files) - set(content.files))
         environment += [f"{name} as found here: the bag does not hold it" for name in absent]
         verdict.environment += [entry for entry in environment if entry not in verdict.environment]
 
-    def _compare_snapshot(self, snapshot: BagSnapshot) -> None:
-        """Compare a snapshot that the run does not need."""
-        if self._simulation is None:
+    def _compare_topologies(self, *, is_last: bool) -> None:
+        """Compare the waiting topologies: of this run of the node, or at the end of the bag perhaps of another one."""
+        waiting, self._topologies = self._topologies, []
+        scene = None if self._simulation is None else self._simulation.scene
+        for index, message in enumerate(waiting):
+            is_due = len(self._content.sessions) == 1 or (index == len(waiting) - 1 and not is_last)
+            if scene is not None and (is_due or outputs.is_topology_of(message, scene)):
+                self._findings.compared("topology")
+                outputs.compare_topology(message, scene, self._findings)
+            else:
+                self._skip_topology(message)
+
+    def _skip_topology(self, message: Message) -> None:
+        self._findings.not_compared(message.topic, "of no frame that was run")
+
+    def _compare_due_snapshot(self) -> None:
+        """Compare a snapshot behind the last frame, which the run does not need."""
+        if self._simulation is None or self._next is None or self._is_start(self._next):
+            return
+        snapshot = self._snapshots.pop(self._next, None)
+        if snapshot is None:
             return
         self._findings.compared("snapshot")
-        try:
-            is_same = State.from_bytes(snapshot.snapshot.state).digest() == self._simulation.state.digest()
-        except ValueError:
-            is_same = False
-        if not is_same:
-            self._findings.difference("snapshot", "the snapshot behind it", rounding=True)
+        reason, is_rounding = _snapshot_difference(snapshot, self._simulation)
+        if reason:
+            self._findings.difference("snapshot", f"the snapshot behind it{reason}", rounding=is_rounding)
 
     def _take_outputs(self, stamp: int) -> dict[str, Message]:
         """Remove and return the first clouds and wrenches of a stamp [ns] by topic."""
-        by_topic = self._outputs.pop(stamp, {})
-        if later := {topic: entries[1:] for topic, entries in by_topic.items() if len(entries) > 1}:
-            self._outputs[stamp] = later
-        return {topic: entries[0] for topic, entries in by_topic.items()}
+        by_topic = self._outputs.get(stamp, {})
+        frame_outputs = {topic: entries.popleft() for topic, entries in by_topic.items()}
+        for topic in [topic for topic, entries in by_topic.items() if not entries]:
+            del by_topic[topic]
+        if not by_topic:
+            self._outputs.pop(stamp, None)
+        self._waiting_bytes -= sum(len(message.data) + _MESSAGE_SIZE for message in frame_outputs.values())
+        return frame_outputs
 
-    def _skip_outputs(self, frame_outputs: dict[str, Message]) -> None:
-        for topic in frame_outputs:
+    def _skip_outputs(self, stamp: int, frame_outputs: dict[str, Message]) -> None:
+        """Count clouds and wrenches of a stamp [ns] for which no frame came."""
+        is_inside = any(first <= stamp <= last for first, last in self._parts)
+        for topic, message in frame_outputs.items():
+            if self._compared.get((stamp, topic)) == hash(message.data):
+                self._findings.not_compared(topic, "a second message of one frame")
+                continue
             self._findings.not_compared(topic, "of no frame that was run")
+            if is_inside and (topic == self._points or topic in self._wrench_topics):
+                self._stray[topic] += 1
+
+    def _note_compared(self, stamp: int, message: Message) -> None:
+        """Remember a compared cloud or wrench of a stamp [ns]."""
+        self._compared[stamp, message.topic] = hash(message.data)
+        if len(self._compared) > _MAX_REPEATED:
+            del self._compared[next(iter(self._compared))]
 
     def _compare_outputs(
         self, frame: Frame, simulation: Simulation, stamp: int, frame_outputs: dict[str, Message]
@@ -344,13 +472,32 @@ class _BagRun:
             self._missing_clouds += 1
         else:
             findings.compared("cloud")
+            self._note_compared(stamp, cloud)
             self._clouds.compare(cloud, simulation, stamp)
         for name, wrench in outputs.wrenches(scene, frame):
             message = frame_outputs.pop(f"{self._node}/{name}/wrench", None)
             if message is not None:
                 findings.compared("wrench")
+                self._note_compared(stamp, message)
                 outputs.compare_wrench(message, wrench, frame_id=scene.frame_id, stamp=stamp, findings=findings)
-        self._skip_outputs(frame_outputs)
+        for topic in frame_outputs:
+            findings.not_compared(topic, "of no gripper or obstacle")
+
+
+def _snapshot_difference(snapshot: BagSnapshot, simulation: Simulation) -> tuple[str, bool]:
+    """Return the difference of a snapshot from the re-run, empty if none, and True if rounding can cause it."""
+    content = snapshot.snapshot
+    try:
+        if State.from_bytes(content.state).digest() != simulation.state.digest():
+            return ", by its state", True
+        node = content.metadata.get("node", "")
+        recorded = recorded_values(content.scene_yaml, node=node)
+        current = recorded_values(parameter_file.dump(simulation.scene.parameters()), node=node)
+    except ValueError as error:
+        return f", which cannot be read: {error}", False
+    # Older versions lack some parameters.
+    differing = [name for name, value in recorded.items() if current.get(name, value) != value]
+    return (f", by its {differing[0]}", False) if differing else ("", False)
 
 
 def _starts(content: _Contents) -> Iterator[_Key]:

@@ -182,10 +182,15 @@ def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int
         findings.difference("wrench", reason, rounding=True)
 
 
+def is_topology_of(message: Message, scene: Scene) -> bool:
+    """Return True if a recorded topology is that of a scene."""
+    return same_bytes(message.data, messages.mesh_bytes(scene.sheet.triangles(), scene.sheet.positions()))
+
+
 def compare_topology(message: Message, scene: Scene, findings: Findings) -> None:
     """Compare the recorded triangles and rest shape with the scene's."""
     triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()
-    if same_bytes(message.data, messages.mesh_bytes(triangles, rest_positions)):
+    if is_topology_of(message, scene):
         return
     try:
         recorded = decode_mesh(message.data)

@@ -5,13 +5,18 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sqlite3
+import struct
+import tracemalloc
 from pathlib import Path
 
 import pytest
 from support.bag_maker import BagMessage, MessageMaker, write_bag
 
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.cdr import decode_string, encode_string
 from cloth_sim_ros.session.main import main as session_main
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target
 from cloth_sim_ros.verify.bag import verify_bag
@@ -292,3 +297,153 @@ def test_text_that_is_no_bag_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     (tmp_path / "empty").mkdir()
     assert main([str(tmp_path / "empty")]) == 2
     assert "is a folder" in capsys.readouterr().err
+
+
+def change_record(entry: BagMessage, *, digest: str | None = None, **extras: object) -> BagMessage:
+    """Return a frame record with another digest or other extras."""
+    content = json.loads(decode_string(entry.data))
+    content["digest"] = digest or content["digest"]
+    content["extras"] |= extras
+    return entry._replace(data=encode_string(json.dumps(content)))
+
+
+def with_stamp(entry: BagMessage, stamp: int) -> BagMessage:
+    """Return a message with a header of another stamp [ns]."""
+    data = entry.data[:4] + struct.pack("<iI", *divmod(stamp, 10**9)) + entry.data[12:]
+    return entry._replace(data=data)
+
+
+def positions_of(entries: list[BagMessage], leaf: str) -> list[int]:
+    return [position for position, entry in enumerate(entries) if entry.topic.endswith(leaf)]
+
+
+@pytest.mark.parametrize(
+    "extras",
+    [
+        {"stamp": 10**30},
+        {"stamp": -1},
+        {"stamp": (2**31 - 1) * 10**9 + 2**32 - 1},
+        {"sequence": 10**4299},
+        {"sequence": True},
+    ],
+)
+def test_number_out_of_range_is_unreadable(
+    recorded: list[BagMessage], tmp_path: Path, extras: dict[str, object]
+) -> None:
+    changed = list(recorded)
+    position = positions_of(recorded, "/frame")[5]
+    changed[position] = change_record(recorded[position], **extras)
+    # Its cloud has the largest stamp of a header, whose seconds overflow.
+    cloud = changed[position + 1]
+    changed[position + 1] = cloud._replace(
+        data=cloud.data[:4] + struct.pack("<iI", 2**31 - 1, 2**32 - 1) + cloud.data[12:]
+    )
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+    assert (verdict.same, status_of(verdict)) == (True, 2)
+    assert "1 message of /cloth_sim/frame cannot be read: its " in verdict.missing[0]
+
+
+def test_restarted_node_without_snapshot_is_not_the_same(recorded: list[BagMessage], tmp_path: Path) -> None:
+    second = without(stream(session="ab"), "/snapshot", 0, 1, 2)
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [*recorded, *second]))
+    assert (verdict.frames, verdict.same, status_of(verdict)) == (COUNT, True, 2)
+    sentence = "no snapshot before frame 1, with which the node began anew; nothing behind them is run"
+    assert verdict.missing == [sentence]
+
+
+def test_two_nodes_of_one_name_are_not_the_same(recorded: list[BagMessage], tmp_path: Path) -> None:
+    both = [entry for pair in zip(recorded, stream(session="ab"), strict=True) for entry in pair]
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", both))
+    assert status_of(verdict) == 2
+    assert any("late or with another node's of this name, and were not run" in entry for entry in verdict.missing)
+
+
+def test_cloud_of_another_stamp_is_not_passed(recorded: list[BagMessage], tmp_path: Path) -> None:
+    for leaf in ("/points", "/wrench"):
+        changed = list(recorded)
+        for position in positions_of(recorded, leaf)[10:20]:
+            stamp = struct.unpack_from("<iI", recorded[position].data, 4)
+            changed[position] = with_stamp(recorded[position], stamp[0] * 10**9 + stamp[1] + 1)
+        verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+        assert (verdict.frames, verdict.same, status_of(verdict)) == (COUNT, True, 2)
+        assert any("the frames of 10 messages of /cloth_sim" in entry for entry in verdict.missing)
+
+
+def test_clouds_that_all_have_other_stamps_are_not_passed(recorded: list[BagMessage], tmp_path: Path) -> None:
+    changed = [with_stamp(entry, 17) if entry.topic.endswith("/points") else entry for entry in recorded]
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+    assert (verdict.frames, verdict.clouds, status_of(verdict)) == (COUNT, 0, 2)
+
+
+@pytest.mark.parametrize("leaf", ["/points", "/wrench", "/frame"])
+def test_second_message_with_another_content_is_not_passed(
+    recorded: list[BagMessage], tmp_path: Path, leaf: str
+) -> None:
+    changed = list(recorded)
+    position = positions_of(recorded, leaf)[7]
+    entry = recorded[position]
+    is_frame = leaf == "/frame"
+    repetition = change_record(entry, digest="0" * 32) if is_frame else entry._replace(data=entry.data[:-9] + b"!" * 9)
+    changed.insert(position + 1, repetition)
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+    assert (verdict.frames, verdict.same, status_of(verdict)) == (COUNT, True, 2)
+
+
+def test_snapshot_behind_the_last_frame_is_compared(recorded: list[BagMessage], tmp_path: Path) -> None:
+    maker = MessageMaker(scene())
+    maker.sequence = COUNT
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [*recorded, maker.snapshot()]))
+    assert (dict(verdict.differing), status_of(verdict)) == ({"snapshot": 1}, 1)
+
+
+def test_snapshot_of_other_parameters_is_a_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    maker = MessageMaker(scene())
+    entries = [maker.snapshot(), *(entry for _ in range(5) for entry in maker.frame())]
+    dump = parameter_file.dump
+    monkeypatch.setattr(parameter_file, "dump", lambda values: dump({**values, "air.drag": 0.7}))
+    entries.append(maker.snapshot())
+    monkeypatch.undo()
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [*entries, *maker.frame()]))
+    assert (dict(verdict.differing), status_of(verdict)) == ({"snapshot": 1}, 1)
+    assert verdict.first_reason == "the snapshot behind it, by its air.drag"
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_each_topology_is_compared(recorded: list[BagMessage], tmp_path: Path, is_first: bool) -> None:
+    data = bytearray(recorded[0].data)
+    data[-9] ^= 1
+    changed = recorded[0]._replace(data=bytes(data))
+    entries = [changed, *recorded] if is_first else [*recorded, changed]
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", entries))
+    assert (dict(verdict.differing), status_of(verdict)) == ({"topology": 1}, 1)
+
+
+def test_many_gaps_are_reported_in_few_sentences(recorded: list[BagMessage], tmp_path: Path) -> None:
+    first = recorded[positions_of(recorded, "/frame")[0]]
+    gaps = [change_record(first, sequence=2 * k) for k in range(500)]
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [recorded[1], *gaps]))
+    assert len(verdict.missing) == 21
+    assert verdict.missing[-1] == "479 further gaps of the records"
+
+
+def test_messages_that_wait_for_frames_need_bounded_memory(
+    recorded: list[BagMessage], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cloth_sim_ros.verify.bag._MAX_WAITING_BYTES", 300_000)
+    maker = MessageMaker(scene())
+    snapshots = []
+    for sequence in range(1000, 1400):
+        maker.sequence = sequence
+        snapshots.append(maker.snapshot())
+    cloud = recorded[positions_of(recorded, "/points")[0]]
+    # Clouds of one stamp, and snapshots of frames that do not come.
+    clouds = [with_stamp(cloud, 5)._replace(data=cloud.data + bytes(10_000)) for _ in range(1000)]
+    path = write_bag(tmp_path / "bag.mcap", [*snapshots, *clouds, *recorded])
+    tracemalloc.start()
+    try:
+        verdict = verify_one(path)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert (verdict.frames, verdict.clouds) == (COUNT, COUNT)
+    assert peak < 4e6
