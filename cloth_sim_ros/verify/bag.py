@@ -448,7 +448,7 @@ class _BagRun:
 
     def _skip_outputs(self, stamp: int, frame_outputs: dict[str, Message]) -> None:
         """Count clouds and wrenches of a stamp [ns] for which no frame came."""
-        is_inside = any(first <= stamp <= last for first, last in self._parts)
+        is_inside = stamp < 0 or any(first <= stamp <= last for first, last in self._parts)
         for topic, message in frame_outputs.items():
             if self._compared.get((stamp, topic)) == hash(message.data):
                 self._findings.not_compared(topic, "a second message of one frame")
@@ -512,8 +512,10 @@ def _starts(content: _Contents) -> Iterator[_Key]:
 
 
 def _header_stamp(data: bytes) -> int:
-    """Return the stamp of a message that begins with a header [ns]; -1 if it is cut off."""
+    """Return the stamp of a message that begins with a header [ns]; -1 if it is cut off or no time."""
     if len(data) < 12:
         return -1
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, 4)
+    if not (seconds >= 0 and nanoseconds < 1_000_000_000):
+        return -1
     return int(seconds) * 1_000_000_000 + int(nanoseconds)

@@ -369,6 +369,18 @@ def test_cloud_of_another_stamp_is_not_passed(recorded: list[BagMessage], tmp_pa
         assert any("the frames of 10 messages of /cloth_sim" in entry for entry in verdict.missing)
 
 
+@pytest.mark.parametrize("leaf", ["/points", "/wrench"])
+@pytest.mark.parametrize("size", [0, 3, 11])
+def test_message_without_a_stamp_is_not_passed(
+    recorded: list[BagMessage], tmp_path: Path, leaf: str, size: int
+) -> None:
+    changed = list(recorded)
+    position = positions_of(recorded, leaf)[50]
+    changed[position] = recorded[position]._replace(data=recorded[position].data[:size])
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+    assert (verdict.frames, verdict.same, status_of(verdict)) == (COUNT, True, 2)
+
+
 def test_clouds_that_all_have_other_stamps_are_not_passed(recorded: list[BagMessage], tmp_path: Path) -> None:
     changed = [with_stamp(entry, 17) if entry.topic.endswith("/points") else entry for entry in recorded]
     verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
