@@ -18,6 +18,8 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Largest number of cells along a side of the projected cloth.
 _MAX_CELLS = 4096
+#: Largest number of rows of cells that the triangles cross, summed over the triangles: a bound of time and memory.
+_MAX_ROWS = 1 << 21
 
 
 class CoverageScene(Protocol):
@@ -86,7 +88,8 @@ class Coverage:
         if not (low < high).all():
             return 0.0
         pitch = self._resolution
-        while max(high - low) > _MAX_CELLS * pitch:
+        height = _total_height(flat[1], self._triangles, low[1], high[1], enough=_MAX_ROWS * pitch)
+        while max(high - low) > _MAX_CELLS * pitch or height > _MAX_ROWS * pitch:
             pitch *= 2.0
         # A cell's index is that of its centre: centre k is at (k + 1/2) pitch.
         first, last = np.ceil(low / pitch - 0.5).astype(np.int64), np.floor(high / pitch - 0.5).astype(np.int64)
@@ -100,6 +103,24 @@ class Coverage:
         changes = np.bincount(row_starts + starts, minlength=size)
         changes -= np.bincount(row_starts + ends + 1, minlength=size)
         return int(np.count_nonzero(np.cumsum(changes))) * pitch * pitch
+
+
+def _total_height(y: Array, triangles: NDArray[np.int64], low: float, high: float, *, enough: float) -> float:
+    """Return the sum of the triangles' heights between two heights, or a bound of it that is at most `enough`.
+
+    Args:
+        y: heights of the corners, shape (n,).
+        triangles: their indices, shape (m, 3).
+        low: lower height.
+        high: upper height.
+        enough: largest bound that is returned for the sum.
+    """
+    clipped = np.minimum(np.maximum(y, low), high)
+    a, b, c = (clipped[corners] for corners in triangles.T)
+    heights = np.maximum(np.maximum(a, b), c) - np.minimum(np.minimum(a, b), c)
+    bound = float(heights.max()) * len(heights)
+    # The exact sum, because the order of numpy's depends on the processor.
+    return bound if bound <= enough else math.fsum(heights.tolist())
 
 
 def _spans(

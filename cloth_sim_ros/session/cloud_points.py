@@ -30,6 +30,8 @@ class CloudPoints:
         #: Name, offset [bytes] and data type of each field.
         self.fields = [(name, length * index, datatype) for index, name in enumerate(vectors)]
         offset = length * len(vectors)
+        #: Bytes of the normal in a point; empty without one.
+        self.normal_bytes = slice(offset - 3 * length * normal, offset)
         #: Size of a point [bytes].
         self.point_step = offset + 4 * ids
         self._bytes = np.zeros((count, self.point_step), np.uint8)

@@ -64,6 +64,19 @@ class CloudEncoder:
         """Offset of the points in the message [bytes]."""
         return len(_LITTLE) + 8 + len(self._constant_part)
 
+    def with_normals_of(self, data: bytes, source: bytes) -> bytes:
+        """Return a cloud with the normals of a source, both with the layout of this encoder."""
+        points, start = self._points, self.points_offset
+        if min(len(data), len(source)) < start + points.size:
+            return data
+        result = np.frombuffer(bytearray(data), np.uint8)
+        rows, source_rows = (
+            array[start : start + points.size].reshape(-1, points.point_step)
+            for array in (result, np.frombuffer(source, np.uint8))
+        )
+        rows[:, points.normal_bytes] = source_rows[:, points.normal_bytes]
+        return result.tobytes()
+
     def encode(
         self,
         x: NDArray[np.float64],

@@ -199,7 +199,7 @@ class _BagRun:
         self._last_key = _Key(-1, 0)
         self._snapshots: dict[_Key, BagSnapshot] = {}
         #: Clouds and wrenches by stamp [ns] and topic; several of one stamp if the clock jumped back.
-        self._outputs: dict[int, dict[str, list[Message]]] = {}
+        self._outputs: dict[int, dict[str, deque[Message]]] = {}
         self._waiting_bytes = 0
         #: Hashes of the last compared clouds and wrenches by stamp [ns] and topic.
         self._compared: dict[tuple[int, str], int] = {}
@@ -331,7 +331,7 @@ class _BagRun:
         """Keep a cloud or a wrench for its frame. Above the limits, run frames sooner, and drop the oldest ones."""
         self._has_clouds = self._has_clouds or message.topic == self._points
         by_topic = self._outputs.setdefault(_header_stamp(message.data), {})
-        by_topic.setdefault(message.topic, []).append(message)
+        by_topic.setdefault(message.topic, deque()).append(message)
         self._waiting_bytes += len(message.data) + _MESSAGE_SIZE
         while self._waiting_bytes > _MAX_WAITING_BYTES and self._pending:
             self._run(self._pending.pop(0))
@@ -437,16 +437,18 @@ class _BagRun:
 
     def _take_outputs(self, stamp: int) -> dict[str, Message]:
         """Remove and return the first clouds and wrenches of a stamp [ns] by topic."""
-        by_topic = self._outputs.pop(stamp, {})
-        if later := {topic: entries[1:] for topic, entries in by_topic.items() if len(entries) > 1}:
-            self._outputs[stamp] = later
-        taken = {topic: entries[0] for topic, entries in by_topic.items()}
-        self._waiting_bytes -= sum(len(message.data) + _MESSAGE_SIZE for message in taken.values())
-        return taken
+        by_topic = self._outputs.get(stamp, {})
+        frame_outputs = {topic: entries.popleft() for topic, entries in by_topic.items()}
+        for topic in [topic for topic, entries in by_topic.items() if not entries]:
+            del by_topic[topic]
+        if not by_topic:
+            self._outputs.pop(stamp, None)
+        self._waiting_bytes -= sum(len(message.data) + _MESSAGE_SIZE for message in frame_outputs.values())
+        return frame_outputs
 
     def _skip_outputs(self, stamp: int, frame_outputs: dict[str, Message]) -> None:
         """Count clouds and wrenches of a stamp [ns] for which no frame came."""
-        is_inside = any(first <= stamp <= last for first, last in self._parts)
+        is_inside = stamp < 0 or any(first <= stamp <= last for first, last in self._parts)
         for topic, message in frame_outputs.items():
             if self._compared.get((stamp, topic)) == hash(message.data):
                 self._findings.not_compared(topic, "a second message of one frame")
@@ -510,8 +512,10 @@ def _starts(content: _Contents) -> Iterator[_Key]:
 
 
 def _header_stamp(data: bytes) -> int:
-    """Return the stamp of a message that begins with a header [ns]; -1 if it is cut off."""
+    """Return the stamp of a message that begins with a header [ns]; -1 if it is cut off or no time."""
     if len(data) < 12:
         return -1
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, 4)
+    if not (seconds >= 0 and nanoseconds < 1_000_000_000):
+        return -1
     return int(seconds) * 1_000_000_000 + int(nanoseconds)

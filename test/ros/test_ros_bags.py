@@ -173,6 +173,46 @@ def test_frames_are_published_for_subscribers_only(client: Client) -> None:
         client.node.destroy_subscription(looking)
 
 
+@pytest.fixture
+def published_snapshots(client: Client, ros_domain: int) -> Iterator[tuple[ClockedCloth, list[int], Any]]:
+    """Yield a cloth whose frames have a subscriber, the frames before which it published snapshots, and its topics."""
+    frames: list[int] = []
+    with ClockedCloth(client, PARAMETERS | {"record.snapshot_period": 1000.0}) as cloth:
+        topics = cloth.node.recording.session.bag_topics
+        subscription = client.node.create_subscription(String, f"{NODE}/frame", lambda _: None, 10)
+        # private: has no public name
+        topics._snapshots.publish = lambda _: frames.append(cloth.simulation.frame)
+        client.spin_until(lambda: topics._frames.has_subscribers, description="the subscriber")
+        yield cloth, frames, topics
+        client.node.destroy_subscription(subscription)
+
+
+def test_shorter_period_of_snapshots_holds_at_once(
+    published_snapshots: tuple[ClockedCloth, list[int], Any],
+) -> None:
+    cloth, frames, _ = published_snapshots
+    cloth.tick(4)
+    cloth.node.node.set_parameters_atomically([Parameter("record.snapshot_period", value=3 / 60)])
+    cloth.tick(8)
+    assert len(frames) >= 3
+    assert set(np.diff(frames[1:])) == {3}
+
+
+def test_snapshot_without_memory_does_not_stop_the_cloth(
+    published_snapshots: tuple[ClockedCloth, list[int], Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    cloth, frames, topics = published_snapshots
+
+    def fail() -> None:
+        raise MemoryError
+
+    topics._take_snapshot = fail
+    before = cloth.simulation.frame
+    cloth.tick(4)
+    assert (cloth.simulation.frame - before, cloth.node.failure.reason, frames) == (4, "", [])
+    assert "~/snapshot: no memory is left" in capfd.readouterr().err
+
+
 def test_node_loads_optional_topics_late() -> None:
     optional = ["cloth_sim_ros.ros.recording.bag_topics", "cloth_sim_ros.ros.io.ground_truth"]
     script = f"import sys, cloth_sim_ros.ros.node; print([name for name in {optional} if name in sys.modules])"

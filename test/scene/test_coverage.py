@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,19 @@ def test_area_belongs_to_the_pose_of_the_plane() -> None:
 def test_wide_cloth_is_counted_in_larger_cells() -> None:
     cloth = scene(**PLANE, **{"coverage.resolution": 1e-5})
     assert Coverage(cloth).area(20.0 * turned(flat(cloth), 30.0), UPRIGHT) == pytest.approx(400.0, rel=1e-3)
+
+
+def test_crumpled_cloth_needs_bounded_memory() -> None:
+    cloth = scene(**PLANE, **{"cloth.resolution": [40, 40], "coverage.resolution": 1e-5})
+    x = np.random.default_rng(1).uniform(-0.02, 0.02, (3, 1600))
+    tracemalloc.start()
+    try:
+        area = Coverage(cloth).area(x, UPRIGHT)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert area == pytest.approx(0.04**2, rel=0.1)
+    assert peak < 400e6
 
 
 @pytest.mark.parametrize(

@@ -318,7 +318,14 @@ def positions_of(entries: list[BagMessage], leaf: str) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    "extras", [{"stamp": 10**30}, {"stamp": -1}, {"stamp": (2**31 - 1) * 10**9 + 2**32 - 1}, {"sequence": 10**4299}, {"sequence": True}]
+    "extras",
+    [
+        {"stamp": 10**30},
+        {"stamp": -1},
+        {"stamp": (2**31 - 1) * 10**9 + 2**32 - 1},
+        {"sequence": 10**4299},
+        {"sequence": True},
+    ],
 )
 def test_number_out_of_range_is_unreadable(
     recorded: list[BagMessage], tmp_path: Path, extras: dict[str, object]
@@ -362,6 +369,18 @@ def test_cloud_of_another_stamp_is_not_passed(recorded: list[BagMessage], tmp_pa
         assert any("the frames of 10 messages of /cloth_sim" in entry for entry in verdict.missing)
 
 
+@pytest.mark.parametrize("leaf", ["/points", "/wrench"])
+@pytest.mark.parametrize("size", [0, 3, 11])
+def test_message_without_a_stamp_is_not_passed(
+    recorded: list[BagMessage], tmp_path: Path, leaf: str, size: int
+) -> None:
+    changed = list(recorded)
+    position = positions_of(recorded, leaf)[50]
+    changed[position] = recorded[position]._replace(data=recorded[position].data[:size])
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+    assert (verdict.frames, verdict.same, status_of(verdict)) == (COUNT, True, 2)
+
+
 def test_clouds_that_all_have_other_stamps_are_not_passed(recorded: list[BagMessage], tmp_path: Path) -> None:
     changed = [with_stamp(entry, 17) if entry.topic.endswith("/points") else entry for entry in recorded]
     verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
@@ -375,10 +394,10 @@ def test_second_message_with_another_content_is_not_passed(
     changed = list(recorded)
     position = positions_of(recorded, leaf)[7]
     entry = recorded[position]
-    other = (
-        change_record(entry, digest="0" * 32) if leaf == "/frame" else entry._replace(data=entry.data[:-9] + b"!" * 9)
-    )
-    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [*changed[: position + 1], other, *changed[position + 1 :]]))
+    is_frame = leaf == "/frame"
+    repetition = change_record(entry, digest="0" * 32) if is_frame else entry._replace(data=entry.data[:-9] + b"!" * 9)
+    changed.insert(position + 1, repetition)
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
     assert (verdict.frames, verdict.same, status_of(verdict)) == (COUNT, True, 2)
 
 
@@ -401,12 +420,12 @@ def test_snapshot_of_other_parameters_is_a_difference(tmp_path: Path, monkeypatc
     assert verdict.first_reason == "the snapshot behind it, by its air.drag"
 
 
-@pytest.mark.parametrize("place", ["first", "last"])
-def test_each_topology_is_compared(recorded: list[BagMessage], tmp_path: Path, place: str) -> None:
+@pytest.mark.parametrize("is_first", [True, False])
+def test_each_topology_is_compared(recorded: list[BagMessage], tmp_path: Path, is_first: bool) -> None:
     data = bytearray(recorded[0].data)
     data[-9] ^= 1
-    other = recorded[0]._replace(data=bytes(data))
-    entries = [other, *recorded] if place == "first" else [*recorded, other]
+    changed = recorded[0]._replace(data=bytes(data))
+    entries = [changed, *recorded] if is_first else [*recorded, changed]
     verdict = verify_one(write_bag(tmp_path / "bag.mcap", entries))
     assert (dict(verdict.differing), status_of(verdict)) == ({"topology": 1}, 1)
 

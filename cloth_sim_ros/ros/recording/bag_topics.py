@@ -52,7 +52,7 @@ class BagTopics:
                 "no ~/snapshot"
             ) from error
         self._simulation, self._take_snapshot, self._encode = simulation, snapshot, snapshot_bytes
-        self._next_snapshot = 0
+        self._log = node.get_logger()
         self.restart()
         # The libraries of the first snapshot must not delay a frame.
         self._snapshot_bytes(0)
@@ -62,6 +62,8 @@ class BagTopics:
     def restart(self) -> None:
         """Begin with new numbers and a snapshot: a frame may have failed after its record was published."""
         self._session, self._sequence, self._subscription_count = secrets.token_hex(8), 0, 0
+        #: Number of the record behind the last snapshot.
+        self._last_snapshot = 0
 
     def before_frame(self, stamp: int) -> None:
         """Publish the snapshot before a frame at a ROS time [ns], if it is due: for new subscribers, and in between."""
@@ -69,10 +71,15 @@ class BagTopics:
         if not self._subscription_count:
             return
         scene = self._simulation.scene
-        period = scene.record.snapshot_period
-        if self._subscription_count > known or (period and self._sequence >= self._next_snapshot):
-            self._next_snapshot = self._sequence + math.ceil(period * scene.rate)
-            self._snapshots.publish(self._snapshot_bytes(stamp))
+        # The period may change at any time.
+        n_records = math.ceil(scene.record.snapshot_period * scene.rate)
+        if self._subscription_count > known or 0 < n_records <= self._sequence - self._last_snapshot:
+            self._last_snapshot = self._sequence
+            try:
+                self._snapshots.publish(self._snapshot_bytes(stamp))
+            except MemoryError:
+                # The cloth goes on; a bag runs again from the next snapshot on.
+                self._log.error("~/snapshot: no memory is left for it; end other processes, or take a smaller cloth")
 
     def next_labels(self, stamp: int) -> dict[str, Any]:
         """Count the record of the frame due at a ROS time [ns]; return the entries that place it in a bag.
