@@ -206,6 +206,7 @@ def test_snapshot_without_memory_does_not_stop_the_cloth(
     def fail() -> None:
         raise MemoryError
 
+    # private: memory that runs out while a snapshot is taken
     topics._take_snapshot = fail
     before = cloth.simulation.frame
     cloth.tick(4)
