@@ -168,6 +168,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_combine": (_INT, _I, _P, _P, _I, _P),
     "cloth_distance": (_INT, _P, _P, _I, _P),
     "cloth_weighted_dot": (_INT, _P, _P, _P, _I, _P),
+    "cloth_draw_triangles": (_INT, _I, _I, _P, _P, _I, _P, _I, _P, _I, _I, _P, _P),
+    "cloth_draw_solid": (_INT, _I, _I, _P, _P, _I, _P, _D, _I, _P, _P),
 }
 
 
