@@ -18,8 +18,8 @@ from cloth_sim_ros.scene.scene import Scene
 _SIM_TIME = "use_sim_time"
 #: Longest full name of a topic in ROS 2 (rmw's RMW_TOPIC_MAX_NAME_LENGTH).
 MAX_TOPIC_LENGTH = 247
-#: The longest topic name below that of a gripper or obstacle.
-_LONGEST_LEAF = "/wrench"
+#: The longest topic name below that of a gripper or obstacle, and of a camera.
+_LONGEST_LEAF, _LONGEST_CAMERA_LEAF = "/wrench", f"/{qos_rules.DEPTH}"
 
 
 def refuse_values(values: Mapping[str, Any]) -> None:
@@ -75,8 +75,12 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
     Raises:
         ParameterError: names the parameter or the folder.
     """
-    max_length = MAX_TOPIC_LENGTH - len(f"/{node.strip('/')}/{_LONGEST_LEAF}")
-    for kind, names in (("gripper", scene.gripper_names), ("obstacle", [*scene.obstacle_names, *scene.described])):
+    for kind, names, leaf in (
+        ("gripper", scene.gripper_names, _LONGEST_LEAF),
+        ("obstacle", [*scene.obstacle_names, *scene.described], _LONGEST_LEAF),
+        ("camera", scene.camera_names, _LONGEST_CAMERA_LEAF),
+    ):
+        max_length = MAX_TOPIC_LENGTH - len(f"/{node.strip('/')}/{leaf}")
         for name in names:
             if len(name) > max_length:
                 raise ParameterError(
