@@ -7,6 +7,8 @@ Messages are built only for subscribers or a recording, and serialized once for 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -24,6 +26,9 @@ from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.cloth_clock import ClothClock
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.camera.cameras import Cameras
 
 #: Publication period of a paused cloth [s]: late subscribers receive it, and recordings stay small.
 _PAUSED_PERIOD = 1.0
@@ -114,13 +119,21 @@ class Outputs:
         self.states = States(node, simulation, sink)
         self.transforms = TfBroadcaster(node, simulation, sink)
         self.obstacles = ObstacleTopics(node, simulation, commands, sink, log)
+        #: None without cameras.
+        self.cameras: Cameras | None = None
+        if simulation.scene.camera_names:
+            from cloth_sim_ros.ros.camera.cameras import Cameras
+
+            self.cameras = Cameras(node, simulation, log)
         #: Steady time of the last frame that was due [s]; None before the first.
         self._last_published: float | None = None
 
     def start(self, stamp: int) -> None:
-        """Publish topology and obstacles at a ROS time [ns], and subscribe to the targets of obstacles."""
+        """Publish topology and obstacles at a ROS time [ns], subscribe to obstacles' targets, and start cameras."""
         self.cloth.start(stamp)
         self.obstacles.update_topics(stamp)
+        if self.cameras is not None:
+            self.cameras.start()
 
     def must_publish(self, frame: Frame, now: float) -> bool:
         """Return true if a frame is to be published at a steady time [s]: if it differs, or once a second."""
@@ -139,6 +152,18 @@ class Outputs:
         self.clock.send(frame.time)
         self.obstacles.send(frame, stamp)
         self.transforms.send(stamp)
+        if self.cameras is not None:
+            self.cameras.send(frame, stamp)
+
+    def report_cameras(self) -> None:
+        """Log what the cameras' process reported."""
+        if self.cameras is not None:
+            self.cameras.report()
+
+    def close_cameras(self) -> None:
+        """End the cameras' process."""
+        if self.cameras is not None:
+            self.cameras.close()
 
     def record_latched(self, stamp: int) -> None:
         """Record the latched messages at the start of a recording, at a ROS time [ns]."""
