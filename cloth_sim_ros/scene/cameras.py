@@ -107,3 +107,18 @@ def check_change(name: str, before: CameraParameters, now: CameraParameters) -> 
     for entry in parameters.declared(CameraParameters):
         if not entry.live and old[entry.name] != new[entry.name]:
             raise ParameterError(parameters.read_only(f"{name}.{entry.name}"))
+
+
+def optical_frame(node: str, camera: str) -> str:
+    """Return the name of the optical frame of a camera that follows no TF frame, given the node's full name."""
+    return f"{node.strip('/')}/{camera}_optical_frame"
+
+
+def camera_pose(camera: CameraParameters) -> tuple[float, ...]:
+    """Return position [m] and unit quaternion x, y, z, w of a camera that follows no TF frame."""
+    return (*camera.position, *normalized(camera.orientation).tolist())
+
+
+def optical_frames(node: str, cameras: Mapping[str, CameraParameters]) -> list[tuple[str, Sequence[float]]]:
+    """Return name and pose of the optical frame of each camera that follows no TF frame."""
+    return [(optical_frame(node, name), camera_pose(camera)) for name, camera in cameras.items() if not camera.frame]

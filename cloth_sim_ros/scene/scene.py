@@ -24,9 +24,9 @@ from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import SleepState
 from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene import cameras as scene_cameras
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
-from cloth_sim_ros.scene import cameras as scene_cameras
 from cloth_sim_ros.scene import gripper_parameters, limits, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene.build import Sheet, anchored_particles, build_model, build_plan, build_sheet, grid_threads_of

@@ -35,9 +35,8 @@ inline void draw_triangle(ZBuffer& buffer, const ImagePoint& a, ImagePoint b, Im
         std::swap(b, c);
         area = -area;
     }
-    const Window pixels =
-        window(buffer.camera, std::ceil(lowest(a.u, b.u, c.u)), std::floor(highest(a.u, b.u, c.u)),
-               std::ceil(lowest(a.v, b.v, c.v)), std::floor(highest(a.v, b.v, c.v)));
+    const Window pixels = window(buffer.camera, std::ceil(lowest(a.u, b.u, c.u)), std::floor(highest(a.u, b.u, c.u)),
+                                 std::ceil(lowest(a.v, b.v, c.v)), std::floor(highest(a.v, b.v, c.v)));
     if (pixels.u1 < pixels.u0 || pixels.v1 < pixels.v0) return;
     // Edge function from p to q: (slope_u u + slope_v v) + offset, not negative inside.
     struct Edge {

@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import Any
 
 import attrs
+import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
@@ -35,7 +36,7 @@ class CameraSetup:
     cameras: dict[str, CameraParameters]
     topics: dict[str, CameraTopics]
     #: Particles of each triangle, shape (m, 3).
-    triangles: Array | NDArray[Any]
+    triangles: NDArray[np.int64]
 
 
 @attrs.frozen(eq=False)

@@ -10,6 +10,7 @@ when the process PARENT ends.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pickle
@@ -117,10 +118,8 @@ class CameraOutput:
     def listen(self) -> None:
         """Subscribe to TF if the camera follows a frame; a first image then finds its transform."""
         if self._parameters.frame:
-            try:
+            with contextlib.suppress(FrameError):
                 self._transformer.newest(self._parameters.frame)
-            except FrameError:
-                pass
 
     def _pose(self, frame: CameraFrame) -> tuple[float, ...] | None:
         """Return the camera's position [m] and orientation in the cloth's frame; None if TF does not know it."""

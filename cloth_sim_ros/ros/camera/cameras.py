@@ -14,12 +14,12 @@ from rclpy.qos import qos_profile_sensor_data
 
 from cloth_sim_ros.camera.depth_camera import label_numbers
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
-from cloth_sim_ros.physics.plan.gripper_path import normalized
 from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup, CameraTopics
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, overridden_profile
 from cloth_sim_ros.ros.io.qos_rules import CAMERA_LEAVES, LABEL_NAMES, POLICIES
 from cloth_sim_ros.ros.process.worker_process import WorkerProcess
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.scene.cameras import camera_pose, optical_frame
 from cloth_sim_ros.simulation.bodies.bodies import solids_and_poses
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
@@ -83,10 +83,7 @@ class Cameras:
             index=frame.index,
             stamp=stamp,
             due=due,
-            poses={
-                name: (*camera.position, *normalized(camera.orientation).tolist())
-                for name, camera in scene.views.items()
-            },
+            poses={name: camera_pose(camera) for name, camera in scene.views.items() if not camera.frame},
             # A later frame replaces this array and does not write into it.
             x=self._simulation.state.x,
             bodies=tuple(bodies),
@@ -158,11 +155,6 @@ def _topics(node: Node, name: str, frame: str) -> CameraTopics:
         names={leaf: node.resolve_topic_name(f"~/{name}/{leaf}") for leaf in CAMERA_LEAVES},
         profiles=profiles,
     )
-
-
-def optical_frame(node: str, camera: str) -> str:
-    """Return the name of the optical frame of a camera that follows no TF frame."""
-    return f"{node.strip('/')}/{camera}_optical_frame"
 
 
 def _is_due(frame: Frame, images_per_frame: float) -> bool:
