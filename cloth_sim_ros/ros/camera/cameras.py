@@ -9,14 +9,15 @@ import queue
 from typing import Any
 
 import attrs
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from cloth_sim_ros.camera.depth_camera import label_numbers
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup, CameraTopics
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, overridden_profile
-from cloth_sim_ros.ros.io.qos_rules import CAMERA_LEAVES, LABEL_NAMES, POLICIES
+from cloth_sim_ros.ros.io.qos_rules import CAMERA_LEAVES, LABEL_NAMES, POLICIES, PUBLISHER, Override
 from cloth_sim_ros.ros.process.worker_process import WorkerProcess
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.cameras import camera_pose, optical_frame
@@ -150,11 +151,21 @@ def _topics(node: Node, name: str, frame: str) -> CameraTopics:
         default = LATCHED_QOS if leaf == LABEL_NAMES else qos_profile_sensor_data
         profile = overridden_profile(node, f"~/{name}/{leaf}", default)
         profiles[leaf] = {policy: int(getattr(profile, policy)) for policy in POLICIES}
+        _declare(node, f"~/{name}/{leaf}", profile)
     return CameraTopics(
         frame_id=frame or optical_frame(node.get_fully_qualified_name(), name),
         names={leaf: node.resolve_topic_name(f"~/{name}/{leaf}") for leaf in CAMERA_LEAVES},
         profiles=profiles,
     )
+
+
+def _declare(node: Node, topic: str, profile: QoSProfile) -> None:
+    """Declare a topic's quality of service on the node, as rclpy does with a publisher: `ros2 param dump` shows it."""
+    for policy in POLICIES:
+        name, value = Override(node.resolve_topic_name(topic), PUBLISHER, policy).name, getattr(profile, policy)
+        if not node.has_parameter(name):
+            text = value if policy == "depth" else value.name.lower()
+            node.declare_parameter(name, text, ParameterDescriptor(read_only=True), True)
 
 
 def _is_due(frame: Frame, images_per_frame: float) -> bool:
