@@ -40,7 +40,7 @@ LATE = {
 FILES = {"mcap", "rosbags", "yaml"}
 #: Rooms, and `batch`, the old address of three of them.
 SUBPACKAGES = (
-    *("engine", "physics", "scene", "simulation", "session", "verify", "replay", "ros"),
+    *("engine", "physics", "scene", "camera", "simulation", "session", "verify", "replay", "ros"),
     *("studies", "learning", "fit", "batch"),
 )
 
@@ -50,6 +50,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     "engine": (set(), ROS | LATE | FILES | {"scipy", "tqdm"}),
     "physics": ({"engine"}, ROS | LATE | FILES | {"scipy", "tqdm"}),
     "scene": ({"engine", "physics"}, ROS | LATE | {"mcap", "rosbags"}),
+    "camera": ({"engine", "physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
     "simulation": ({"engine", "physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
     "session": (set(), ROS | LATE | {"scipy"}),
     "replay": ({"session"}, ROS | {"scipy"}),
@@ -63,7 +64,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
         {"engine", "physics", "scene", "simulation", "session", "studies", "learning", "fit"},
         ROS | LATE - {"gymnasium"},
     ),
-    "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
+    "ros": ({"engine", "physics", "scene", "camera", "simulation", "session"}, LATE),
 }
 
 
@@ -72,7 +73,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 _MEASURED = {"engine", "physics", "scene", "simulation", "session", "verify"}
 MEASURING_FOLDERS: dict[str, tuple[set[str], set[str]]] = {
     "validation": (_MEASURED, {"support"}),
-    "benchmarks": (_MEASURED | {"studies", "learning", "ros"}, {"support", "validation"}),
+    "benchmarks": (_MEASURED | {"camera", "studies", "learning", "ros"}, {"support", "validation"}),
 }
 #: Folders of the tests of both, without which the product's tests pass.
 TESTED = ("benchmarks", "validation")

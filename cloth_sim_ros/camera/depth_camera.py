@@ -95,20 +95,23 @@ class DepthCamera:
         return points
 
     def _with_noise(self, depths: NDArray[np.float32], frame: int) -> NDArray[np.float32]:
-        """Return depths as a stereo camera measures them, by disparity fx baseline / z."""
+        """Return depths as a stereo camera measures them, by disparity fx baseline / z; overwrites its argument."""
         camera = self.parameters
         if not camera.disparity_noise and not camera.disparity_step:
             return depths
         scale = np.float32(self.intrinsics[0] * camera.baseline)
-        disparities = scale / depths
+        disparities = np.divide(scale, depths, out=depths)
         if camera.disparity_noise:
             normal = np.random.default_rng((*self._seed, frame)).standard_normal(depths.shape, np.float32)
-            disparities += np.float32(camera.disparity_noise) * normal
+            normal *= np.float32(camera.disparity_noise)
+            disparities += normal
         if camera.disparity_step:
             step = np.float32(camera.disparity_step)
-            disparities = np.rint(disparities / step) * step
-        with np.errstate(divide="ignore"):
-            return np.where(disparities > 0.0, scale / disparities, np.float32(np.nan))
+            disparities /= step
+            np.rint(disparities, out=disparities)
+            disparities *= step
+        disparities[disparities <= 0.0] = np.nan
+        return np.divide(scale, disparities, out=disparities)
 
 
 _Motion = tuple[Array, Array]
