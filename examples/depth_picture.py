@@ -43,8 +43,8 @@ def main(path: str) -> None:
     depth = np.frombuffer(image.data, np.float32).reshape(image.height, image.width)
     label = np.frombuffer(labels[stamp].data, np.uint16).reshape(depth.shape)
     print(f"{image.width} x {image.height} pixels in the frame {image.header.frame_id}")
-    for number, name in json.loads(names[-1].data).items():
-        seen = depth[label == int(number)]
+    for key, name in json.loads(names[-1].data).items():
+        seen = depth[label == int(key)]
         print(f"{name}: {seen.min():.2f} to {seen.max():.2f} m")
     imsave(path, depth, cmap="viridis_r", vmin=1.0, vmax=3.5)
     rclpy.try_shutdown()

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processor time of a depth camera's image and of its messages.
 
-`python -m benchmarks ros-camera` renders a folded, waving sheet that fills most of the image, a plane behind it and one
-body of each other shape, on one core. The clock is the thread's processor time.
+`python -m benchmarks ros-camera` renders a folded, waving sheet that fills most of the image. A plane lies behind it,
+and one body of each other shape before it. The clock is the thread's processor time.
 """
 
 from __future__ import annotations

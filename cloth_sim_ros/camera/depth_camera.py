@@ -81,7 +81,7 @@ class DepthCamera:
         labels = image.labels
         with np.errstate(divide="ignore"):
             depths = np.reciprocal(image.inverse_depths)
-        out_of_range = (depths < self.parameters.near) | (depths > self.parameters.far)
+        out_of_range = (depths < self.parameters.min_depth) | (depths > self.parameters.max_depth)
         depths[out_of_range] = np.nan
         labels[out_of_range] = NO_LABEL
         return self._with_noise(depths, frame), labels

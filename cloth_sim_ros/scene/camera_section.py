@@ -52,10 +52,10 @@ class CameraParameters:
         max=10000.0,
         observes=True,
     )
-    near: float = parameter(
+    min_depth: float = parameter(
         "double", 0.1, "Least depth; nearer surfaces have none", unit="m", min=0.001, max=1e4, observes=True
     )
-    far: float = parameter(
+    max_depth: float = parameter(
         "double", 10.0, "Largest depth; farther surfaces have none", unit="m", min=0.001, max=1e4, observes=True
     )
     position: tuple[float, ...] = parameter(

@@ -70,8 +70,8 @@ def check_cameras(
     for name in dict.fromkeys(names):
         if name in groups:
             faults.add([f"a camera is named '{name}', as parameters are; give it another name"])
-        for kind, others in (("gripper", grippers), ("obstacle", obstacles)):
-            if name in others:
+        for kind, reserved in (("gripper", grippers), ("obstacle", obstacles)):
+            if name in reserved:
                 faults.add([f"'{name}' names a camera and {_article(kind)}; give the camera another name"])
     for name, camera in cameras.items():
         faults.add(_faults(name, camera))
@@ -89,8 +89,11 @@ def _faults(name: str, camera: CameraParameters) -> Iterator[str]:
             f"{name}.intrinsics is {list(camera.intrinsics)}; fx and fy, its first entries, must be above 0 pixels, or "
             f"all entries 0.0 for {name}.fov"
         )
-    if camera.near >= camera.far:
-        yield f"{name}.near is {camera.near:g} m and {name}.far {camera.far:g} m; near must be below far"
+    if camera.min_depth >= camera.max_depth:
+        yield (
+            f"{name}.min_depth is {camera.min_depth:g} m and {name}.max_depth {camera.max_depth:g} m; the first must be "
+            "below the second"
+        )
     try:
         normalized(camera.orientation)
     except ValueError as error:

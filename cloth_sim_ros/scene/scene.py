@@ -244,8 +244,8 @@ class Scene:
         )
         content = scene_files.read(checked, files or {}, folder)
         described = scene_obstacles.read(checked, names)
-        others = [*names, *cameras]
-        individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), others)}
+        owners = [*names, *cameras]
+        individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), owners)}
         views = scene_cameras.read(checked, cameras)
         scene: Scene = parameters.build(
             cls, checked, described=described, views=views, individual=individual, files=content

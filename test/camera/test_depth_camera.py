@@ -29,7 +29,7 @@ LIMIT = 5e-4
 
 def camera(triangles: np.ndarray = NO_CLOTH, name: str = "wrist", **values: Any) -> DepthCamera:
     """A small camera."""
-    parameters = CameraParameters(**{"width": 48, "height": 36, "near": 0.001, **values})
+    parameters = CameraParameters(**{"width": 48, "height": 36, "min_depth": 0.001, **values})
     return DepthCamera(name, parameters, triangles)
 
 
@@ -75,7 +75,7 @@ def march(body: Obstacle, origin: np.ndarray, directions: np.ndarray) -> tuple[n
 @pytest.mark.parametrize("pose", [ORIGIN, TURNED], ids=["origin", "turned"])
 def test_depth_of_each_shape_is_exact(shape: str, pose: tuple[float, ...]) -> None:
     # The reference of a mesh is slow.
-    body, view = SOLIDS[shape], camera(far=20.0, **({"width": 24, "height": 18} if shape == "mesh" else {}))
+    body, view = SOLIDS[shape], camera(max_depth=20.0, **({"width": 24, "height": 18} if shape == "mesh" else {}))
     turned, at = rotation_matrix(np.array(pose[3:])), np.array(pose[:3])
     orientation = quaternion_product(pose[3:], normalized([0.9, 0.3, -0.2, 0.3]).tolist())
     body_pose = np.array([*(at + turned @ [0.05, 0.1, 1.3]), *orientation])
@@ -153,7 +153,7 @@ def test_camera_inside_a_solid_sees_through_it(shape: str) -> None:
 
 def test_pixels_out_of_range_have_no_depth_and_hide_others() -> None:
     x, triangles = sheet((1.0, 0.0), 1.0)
-    view = camera(triangles, near=0.9, far=1.2)
+    view = camera(triangles, min_depth=0.9, max_depth=1.2)
     rays = rays_of(view)
     behind = np.array([0.0, 0.0, 1.15, *normalized([1.0, 0.0, 0.0, 0.0])])
     depths, labels = view.view(ORIGIN, x, [(SOLIDS["plane"], behind, 2)])
@@ -178,8 +178,8 @@ def test_intrinsics_follow_the_field_of_view() -> None:
     # The outer edges of the outermost pixels span the field of view.
     assert 2.0 * math.atan(32.0 / fx) == pytest.approx(1.0)
     assert fx == fy
-    given = (500.0, 510.0, 30.0, 20.0)
-    assert intrinsics(CameraParameters(width=64, height=48, intrinsics=given)) == given
+    calibrated = (500.0, 510.0, 30.0, 20.0)
+    assert intrinsics(CameraParameters(width=64, height=48, intrinsics=calibrated)) == calibrated
 
 
 def test_noise_grows_with_squared_depth_and_repeats() -> None:
@@ -187,7 +187,7 @@ def test_noise_grows_with_squared_depth_and_repeats() -> None:
     for distance in (1.0, 2.0):
         x, triangles = sheet((0.0, 0.0), distance)
         x[:2] *= 2.0
-        values = {"disparity_noise": 0.1, "baseline": 0.05, "fov": 1.0, "far": 5.0}
+        values = {"disparity_noise": 0.1, "baseline": 0.05, "fov": 1.0, "max_depth": 5.0}
         view = camera(triangles, **values)
         depths, _ = view.view(ORIGIN, x, [], frame=3)
         deviations.append(float(np.std(depths - distance)))

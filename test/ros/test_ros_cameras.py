@@ -72,7 +72,7 @@ class Watcher:
 
     def of_one_stamp(self, cloth: ClockedCloth) -> dict[str, Any]:
         """Tick until a message of each topic with one stamp has come; return these."""
-        found: dict[str, Any] = {}
+        images: dict[str, Any] = {}
 
         def is_complete() -> bool:
             cloth.tick()
@@ -81,11 +81,11 @@ class Watcher:
                 for messages in self.received.values()
             ]
             for stamp in set.intersection(*map(set, by_topic)):
-                found.update(zip(self.received, (messages[stamp] for messages in by_topic), strict=True))
-            return bool(found)
+                images.update(zip(self.received, (messages[stamp] for messages in by_topic), strict=True))
+            return bool(images)
 
         self._client.spin_until(is_complete, description="a message of each topic of the camera")
-        return found
+        return images
 
 
 def pixels(image: Image) -> np.ndarray:
@@ -99,11 +99,11 @@ def test_camera_shows_cloth_and_obstacles_with_one_stamp(client: Client) -> None
     names: list[String] = []
     client.node.create_subscription(String, "/cloth_sim/wrist/label_names", names.append, LATCHED)
     with ClockedCloth(client, SCENE) as cloth:
-        found = Watcher(client).of_one_stamp(cloth)
-        depth, info, labels, cloud = (found[leaf] for leaf in TYPES)
+        images = Watcher(client).of_one_stamp(cloth)
+        depth, info, labels, cloud = (images[leaf] for leaf in TYPES)
         client.spin_until(lambda: names, description="the names of labels")
-    assert {message.header.frame_id for message in found.values()} == {"cloth_sim/wrist_optical_frame"}
-    numbers = {name: int(number) for number, name in json.loads(names[-1].data).items()}
+    assert {message.header.frame_id for message in images.values()} == {"cloth_sim/wrist_optical_frame"}
+    numbers = {name: int(label) for label, name in json.loads(names[-1].data).items()}
     assert numbers == {"cloth": 1, "ball": 2, "wall": 3}
     depths, seen = pixels(depth), pixels(labels)
     assert (depth.encoding, labels.encoding) == ("32FC1", "16UC1")
@@ -126,9 +126,9 @@ def test_camera_shows_cloth_and_obstacles_with_one_stamp(client: Client) -> None
 
 
 def test_millimetres_and_no_depth_are_encoded_by_rep_118(client: Client) -> None:
-    with ClockedCloth(client, {**SCENE, "wrist.encoding": "16UC1", "wrist.far": 2.5, "wrist.width": 81}) as cloth:
-        found = Watcher(client, "depth/image_rect_raw", "labels").of_one_stamp(cloth)
-    depths, labels = pixels(found["depth/image_rect_raw"]), pixels(found["labels"])
+    with ClockedCloth(client, {**SCENE, "wrist.encoding": "16UC1", "wrist.max_depth": 2.5, "wrist.width": 81}) as cloth:
+        images = Watcher(client, "depth/image_rect_raw", "labels").of_one_stamp(cloth)
+    depths, labels = pixels(images["depth/image_rect_raw"]), pixels(images["labels"])
     assert int(depths[30, 40]) == pytest.approx(1400, abs=2)
     assert np.array_equal(depths == 0, labels == 0) and (depths == 0).any()
 
@@ -144,18 +144,18 @@ def test_nothing_is_rendered_without_subscribers(client: Client) -> None:
         watcher = Watcher(client, "depth/camera_info")
         watcher.of_one_stamp(cloth)
         watcher.close()
-        client.spin_until(lambda: not wanted(cameras), description="no subscriber")
+        client.spin_until(lambda: not subscribed(cameras), description="no subscriber")
         cloth.tick()
         count = cameras.describe()["camera_images"]
         cloth.tick(5)
         assert int(cameras.describe()["camera_images"]) <= int(count) + 1
 
 
-def wanted(cameras: Any) -> frozenset[str]:
+def subscribed(cameras: Any) -> frozenset[str]:
     """The cameras with subscribers."""
     # private: the condition under test
-    found: frozenset[str] = cameras._wanted  # private, likewise
-    return found
+    images: frozenset[str] = cameras._subscribed  # private, likewise
+    return images
 
 
 def test_rate_is_counted_in_frames(client: Client) -> None:

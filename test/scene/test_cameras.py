@@ -44,7 +44,10 @@ def test_cameras_are_described_by_their_names() -> None:
         ({**WRIST, "wrist.fov": 0.0}, "wrist.fov is 0.0 rad; it must be at least 0.01 rad"),
         ({**WRIST, "wrist.fov": math.pi}, "wrist.fov is 3.14159.* rad; it must be at most 3.1 rad"),
         ({**WRIST, "wrist.intrinsics": [500.0, 0.0, 320.0, 240.0]}, "fx and fy, its first entries, must be above 0"),
-        ({**WRIST, "wrist.near": 2.0, "wrist.far": 2.0}, "wrist.near is 2 m and wrist.far 2 m; near must be below far"),
+        (
+            {**WRIST, "wrist.min_depth": 2.0, "wrist.max_depth": 2.0},
+            "wrist.min_depth is 2 m and wrist.max_depth 2 m; the first must be below the second",
+        ),
         ({**WRIST, "wrist.encoding": "mono8"}, "wrist.encoding is 'mono8'; it must be one of 32FC1, 16UC1"),
         ({**WRIST, "wrist.seed": -1}, "wrist.seed is -1; it must be at least 0"),
         ({"wrist.width": 64}, "If 'wrist' is to be a camera, name it in cameras"),
@@ -58,7 +61,9 @@ def test_wrong_cameras_are_refused_with_a_remedy(values: dict[str, Any], message
 
 def test_several_faults_of_cameras_come_together() -> None:
     with pytest.raises(ParameterError) as error:
-        Scene.from_parameters({**WRIST, "wrist.near": 3.0, "wrist.far": 1.0, "wrist.intrinsics": [-1.0, 0.0, 0.0, 0.0]})
+        Scene.from_parameters(
+            {**WRIST, "wrist.min_depth": 3.0, "wrist.max_depth": 1.0, "wrist.intrinsics": [-1.0, 0.0, 0.0, 0.0]}
+        )
     assert len(error.value.sentences) == 2
 
 

@@ -34,10 +34,10 @@ CLOTH_INLINE Entry smaller_root(V a, V b, V c) {
 /// Entry into a slab |p| <= half of an axis, and exit from it. Without motion along it they are infinite or NaN.
 CLOTH_INLINE void intersect_slab(V from, V along, double half, V& entry, V& exit) {
     const V inverse = splat<V>(1.0) / along;
-    const V one = (splat<V>(-half) - from) * inverse, other = (splat<V>(half) - from) * inverse;
+    const V lower = (splat<V>(-half) - from) * inverse, upper = (splat<V>(half) - from) * inverse;
     // NaN, on the boundary and along it, restricts nothing.
-    entry = larger(smaller(one, other), entry);
-    exit = smaller(larger(one, other), exit);
+    entry = larger(smaller(lower, upper), entry);
+    exit = smaller(larger(lower, upper), exit);
 }
 
 /// Where rays from an origin outside a shape enter it. The point at a depth t is origin + t direction.
@@ -49,8 +49,8 @@ CLOTH_INLINE Entry entry_into(Vec3<V> o, Vec3<V> d, Vec3<double> size) {
     } else if constexpr (S == Shape::sphere) {
         return smaller_root(norm2(d), dot(o, d), norm2(o) - splat<V>(size.x * size.x));
     } else if constexpr (S == Shape::box) {
-        const V far = splat<V>(std::numeric_limits<double>::infinity());
-        V entry = -far, exit = far;
+        const V infinity = splat<V>(std::numeric_limits<double>::infinity());
+        V entry = -infinity, exit = infinity;
         intersect_slab(o.x, d.x, 0.5 * size.x, entry, exit);
         intersect_slab(o.y, d.y, 0.5 * size.y, entry, exit);
         intersect_slab(o.z, d.z, 0.5 * size.z, entry, exit);
@@ -99,7 +99,7 @@ inline void draw_solid(ZBuffer& buffer, const Placement& placement, Shape shape,
         if constexpr (S != Shape::mesh) {
             if (!(contact::nearest_on<S, double>(origin, size).gap > 0.0)) return;
             const Vec3<V> o{splat<V>(origin.x), splat<V>(origin.y), splat<V>(origin.z)};
-            buffer.each(pixels, [&](std::int64_t first, V u, double v, M inside) CLOTH_INLINED {
+            buffer.visit_window(pixels, [&](std::int64_t first, V u, double v, M inside) CLOTH_INLINED {
                 const Vec3<V> ray{(u - splat<V>(camera.cx)) / splat<V>(camera.fx),
                                   splat<V>((v - camera.cy) / camera.fy), splat<V>(1.0)};
                 const Entry entry = entry_into<S>(o, placement.rotate_back(ray), size);

@@ -50,7 +50,7 @@ inline void draw_triangle(ZBuffer& buffer, const ImagePoint& a, ImagePoint b, Im
     const double slope_v = ((c.w - a.w) * (b.u - a.u) - (b.w - a.w) * (c.u - a.u)) / area;
     // Rounding in a narrow triangle must not leave the range of its corners.
     const V low = splat<V>(lowest(a.w, b.w, c.w)), high = splat<V>(highest(a.w, b.w, c.w));
-    buffer.each(pixels, [&](std::int64_t first, V u, double v, M inside) CLOTH_INLINED {
+    buffer.visit_window(pixels, [&](std::int64_t first, V u, double v, M inside) CLOTH_INLINED {
         const V none{};
         const M covered = inside & (ab.at(u, v) >= none) & (bc.at(u, v) >= none) & (ca.at(u, v) >= none);
         if (!any(covered)) return;

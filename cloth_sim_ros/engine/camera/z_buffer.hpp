@@ -93,7 +93,7 @@ struct ZBuffer {
     /// Call `visit` with the first pixel of each vector in a window, its coordinates u and v, and whether a lane is in
     /// the window.
     template <class F>
-    CLOTH_INLINE void each(const Window& pixels, F&& visit) {
+    CLOTH_INLINE void visit_window(const Window& pixels, F&& visit) {
         V offset;
         for (int lane = 0; lane < width_of_vector; ++lane) offset[lane] = lane;
         const V end = splat<V>(double(pixels.u1));

@@ -46,7 +46,7 @@ class CameraFrame:
     index: int
     #: ROS time at which it was due [ns].
     stamp: int
-    due: frozenset[str]
+    cameras: frozenset[str]
     #: Position [m] and orientation x, y, z, w of each camera without a TF frame.
     poses: dict[str, tuple[float, ...]]
     #: Positions of the particles [m], shape (3, n).

@@ -3,9 +3,13 @@
 """Camera process: renders and publishes what the depth cameras of a node see.
 
 Usage: `python -m cloth_sim_ros.ros.camera.camera_worker PARENT`. Reads pickled objects from standard input: a
-`CameraSetup`, then a `CameraFrame` at a time. Writes lines of JSON: `wanted`, the cameras with subscribers, whenever
-they change; `warning` or `found` of a camera; and `done` after the set-up and after each frame. Ends with its input, or
-when the process PARENT ends.
+`CameraSetup`, then a `CameraFrame` at a time. Ends with its input, or when the process PARENT ends.
+
+Answers are lines of JSON with one of these keys:
+
+- `subscribed`: names of the cameras with subscribers, whenever they change.
+- `warning`, `found`: a text for the log, with the name of the camera.
+- `done`: number of cameras that were sent, after the set-up and after each frame.
 """
 
 from __future__ import annotations
@@ -88,7 +92,7 @@ class CameraOutput:
         self._last_warning: int | None = None
 
     @property
-    def is_wanted(self) -> bool:
+    def is_subscribed(self) -> bool:
         """True if an image, the camera info or the points have subscribers."""
         return any(self._has_subscribers(leaf) for leaf in _TYPES if leaf != LABEL_NAMES)
 
@@ -96,7 +100,7 @@ class CameraOutput:
         """Publish the names of labels if they changed. The topic is latched."""
         if labels != self._labels:
             self._labels = labels
-            names = {str(number): name for name, number in labels.items()}
+            names = {str(label): name for name, label in labels.items()}
             self._publishers[LABEL_NAMES].publish(String(data=json.dumps(names)))
 
     def send(self, frame: CameraFrame, bodies: Bodies) -> None:
@@ -184,15 +188,15 @@ class CameraWorker:
             executor = SingleThreadedExecutor()
             executor.add_node(self._node)
             threading.Thread(target=executor.spin, name="tf", daemon=True).start()
-        self._wanted: list[str] = []
+        self._subscribed: list[str] = []
         self._bodies: tuple[Obstacle, ...] = ()
 
-    def report_wanted(self) -> None:
+    def report_subscribed(self) -> None:
         """Answer with the cameras that have subscribers, if they changed."""
-        wanted = [camera.name for camera in self._cameras if camera.is_wanted]
-        if wanted != self._wanted:
-            self._wanted = wanted
-            self._answer({"wanted": wanted})
+        subscribed = [camera.name for camera in self._cameras if camera.is_subscribed]
+        if subscribed != self._subscribed:
+            self._subscribed = subscribed
+            self._answer({"subscribed": subscribed})
 
     def send(self, frame: CameraFrame) -> None:
         """Render and publish a frame of the cameras that are due."""
@@ -202,7 +206,7 @@ class CameraWorker:
         bodies = [
             (body, pose, frame.labels[body.name]) for body, pose in zip(self._bodies, frame.body_poses, strict=True)
         ]
-        sent = [camera for camera in self._cameras if camera.name in frame.due]
+        sent = [camera for camera in self._cameras if camera.name in frame.cameras]
         for camera in self._cameras:
             camera.update_labels(frame.labels)
         for camera in sent:
@@ -222,7 +226,7 @@ def main(arguments: Sequence[str]) -> int:
         worker = CameraWorker(pickle.load(stream), answer)
         answer({"done": 0})
         while os.getppid() == parent:
-            worker.report_wanted()
+            worker.report_subscribed()
             # The parent sends a frame after the previous one was done: nothing else is in the stream's buffer.
             if select.select([stream], [], [], _POLL_PERIOD)[0]:
                 worker.send(pickle.load(stream))

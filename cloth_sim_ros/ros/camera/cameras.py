@@ -55,7 +55,7 @@ class Cameras:
         #: Bodies that the process has; written by the sending thread.
         self._sent_bodies: tuple[Obstacle, ...] | None = None
         # Each is written by one of the process's threads and read by others.
-        self._wanted: frozenset[str] = frozenset()
+        self._subscribed: frozenset[str] = frozenset()
         self._state = "starting"
         self._n_images, self._render_time = 0, 0.0
         self._reports: queue.SimpleQueue[tuple[bool, str, str]] = queue.SimpleQueue()
@@ -72,18 +72,18 @@ class Cameras:
 
     def send(self, frame: Frame, stamp: int) -> None:
         """Pass a frame that was due at a ROS time [ns] on, if cameras with subscribers are due."""
-        wanted, scene = self._wanted, self._simulation.scene
-        if not wanted or self._process is None:
+        subscribed, scene = self._subscribed, self._simulation.scene
+        if not subscribed or self._process is None:
             return
-        due = frozenset(name for name in wanted if _is_due(frame, scene.views[name].rate / scene.rate))
-        if not due:
+        names = frozenset(name for name in subscribed if _has_image(frame, scene.views[name].rate / scene.rate))
+        if not names:
             return
         bodies, poses = solids_and_poses(self._simulation.obstacles, self._simulation.pinching)
         self._labels = label_numbers([body.name for body in bodies], self._labels)
         job = CameraFrame(
             index=frame.index,
             stamp=stamp,
-            due=due,
+            cameras=names,
             poses={name: camera_pose(camera) for name, camera in scene.views.items() if not camera.frame},
             # A later frame replaces this array and does not write into it.
             x=self._simulation.state.x,
@@ -93,7 +93,7 @@ class Cameras:
         )
         replaced = self._process.put(job)
         if isinstance(replaced, CameraFrame):
-            self._n_skipped += len(replaced.due)
+            self._n_skipped += len(replaced.cameras)
 
     def report(self) -> None:
         """Log what the process reported."""
@@ -122,13 +122,13 @@ class Cameras:
         if isinstance(job, CameraSetup) or job.bodies is None:
             return job
         sent, self._sent_bodies = self._sent_bodies, job.bodies
-        is_known = sent is not None and len(sent) == len(job.bodies) and all(map(_is_same, sent, job.bodies))
+        is_known = sent is not None and list(map(id, sent)) == list(map(id, job.bodies))
         return attrs.evolve(job, bodies=None) if is_known else job
 
     def _receive(self, answer: dict[str, Any]) -> bool:
         """Take an answer; return true if the process is done with its job."""
-        if "wanted" in answer:
-            self._wanted = frozenset(answer["wanted"])
+        if "subscribed" in answer:
+            self._subscribed = frozenset(answer["subscribed"])
         for key in ("warning", "found"):
             if key in answer:
                 self._reports.put((key == "warning", answer["camera"], answer[key]))
@@ -140,7 +140,7 @@ class Cameras:
         return True
 
     def _end(self, reason: str) -> None:
-        self._wanted = frozenset()
+        self._subscribed = frozenset()
         self._state = reason
         self._reports.put((True, "", f"cameras send no images: their process {reason}; restart the node"))
 
@@ -168,12 +168,8 @@ def _declare(node: Node, topic: str, profile: QoSProfile) -> None:
             node.declare_parameter(name, text, ParameterDescriptor(read_only=True), True)
 
 
-def _is_due(frame: Frame, images_per_frame: float) -> bool:
+def _has_image(frame: Frame, images_per_frame: float) -> bool:
     """Return true if an image is due in a frame: by its number, so that each run has the same images."""
     if not frame.moved:
         return True
     return math.floor(frame.index * images_per_frame) > math.floor((frame.index - 1) * images_per_frame)
-
-
-def _is_same(one: Obstacle, other: Obstacle) -> bool:
-    return one is other
