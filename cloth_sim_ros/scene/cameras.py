@@ -91,8 +91,8 @@ def _faults(name: str, camera: CameraParameters) -> Iterator[str]:
         )
     if camera.min_depth >= camera.max_depth:
         yield (
-            f"{name}.min_depth is {camera.min_depth:g} m and {name}.max_depth {camera.max_depth:g} m; the first must be "
-            "below the second"
+            f"{name}.min_depth is {camera.min_depth:g} m and {name}.max_depth {camera.max_depth:g} m; the first must "
+            "be below the second"
         )
     try:
         normalized(camera.orientation)

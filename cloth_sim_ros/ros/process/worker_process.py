@@ -35,7 +35,6 @@ class WorkerProcess(Generic[Job]):
         encode: returns the object that is pickled for a job; called in a thread.
         on_answer: takes an answer and returns true if the process is ready for a job; called in another thread.
         on_end: called with the reason if the process ends by itself or can't be started.
-        n_ready: number of jobs that the process takes before its first answer.
     """
 
     def __init__(
@@ -46,7 +45,6 @@ class WorkerProcess(Generic[Job]):
         encode: Callable[[Job], Any],
         on_answer: Callable[[dict[str, Any]], bool],
         on_end: Callable[[str], None],
-        n_ready: int = 1,
     ) -> None:
         self._module, self._name, self._encode = module, name, encode
         self._on_answer, self._on_end = on_answer, on_end
@@ -55,7 +53,7 @@ class WorkerProcess(Generic[Job]):
         self._closed = threading.Event()
         self._has_ended = False
         #: A pipe would buffer many jobs.
-        self._ready = threading.Semaphore(n_ready)
+        self._ready = threading.Semaphore(1)
         threading.Thread(target=self._run, name=name, daemon=True).start()
 
     def put(self, job: Job) -> Job | None:
