@@ -18,10 +18,15 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import String
-from support.clocked_cloth import ClockedCloth
+from support.clocked_cloth import SECOND, ClockedCloth
 from support.ros_client import Client
 
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup, CameraTopics
+from cloth_sim_ros.ros.camera.camera_worker import CameraOutput
+from cloth_sim_ros.ros.io.tf_frames import FrameError
 from cloth_sim_ros.ros.process.worker_process import WorkerProcess
+from cloth_sim_ros.scene.camera_section import CameraParameters
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.verify.run import verify
@@ -224,6 +229,65 @@ def test_missing_transform_is_reported_once(client: Client, capfd: pytest.Captur
     is_installed = importlib.util.find_spec("tf2_ros")
     assert ("no transform" if is_installed else "tf2_ros, which would transform it, is not installed") in text
     assert not watcher.received["depth/image_rect_raw"]
+
+
+class StubTransformer:
+    """TF with at most one frame, at a pose."""
+
+    def __init__(self) -> None:
+        self.pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+
+    def to_cloth(self, frame: str, *_: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the pose, or refuse."""
+        if self.pose is None:
+            raise FrameError(f"no transform from '{frame}'")
+        return self.pose
+
+
+def test_camera_follows_its_frame_when_it_is_known(client: Client) -> None:
+    leaves = ("depth/image_rect_raw", "depth/camera_info", "labels", "label_names", "points")
+    profile = {"reliability": 2, "history": 1, "durability": 2, "depth": 5}
+    topics = CameraTopics(
+        frame_id="hand", names={leaf: f"/arm/{leaf}" for leaf in leaves}, profiles=dict.fromkeys(leaves, profile)
+    )
+    setup = CameraSetup(
+        node="cloth_sim",
+        namespace="/",
+        frame_id="world",
+        cameras={"arm": CameraParameters(width=8, height=6, frame="hand")},
+        topics={"arm": topics},
+        triangles=np.zeros((0, 3), np.int64),
+    )
+    frame = CameraFrame(
+        index=1,
+        stamp=SECOND,
+        cameras=frozenset({"arm"}),
+        poses={},
+        x=np.zeros((3, 0)),
+        bodies=None,
+        body_poses=np.zeros((0, 7)),
+        labels={},
+    )
+    wall = Obstacle(name="wall", shape="plane")
+    bodies = [(wall, np.array([0.0, 0.0, 5.0, 1.0, 0.0, 0.0, 0.0]), 2)]
+    frames, answers = StubTransformer(), list[dict[str, Any]]()
+    # The output needs one method of a transformer.
+    output = CameraOutput(client.node, "arm", setup, frames, answers.append)  # type: ignore[arg-type]
+    images: list[Image] = []
+    client.node.create_subscription(Image, "/arm/depth/image_rect_raw", images.append, qos_profile_sensor_data)
+    client.spin_until(lambda: output.is_subscribed, description="the subscriber")
+    for _ in range(3):
+        output.send(frame, bodies)
+    assert answers == [{"warning": "camera 'arm' sends no images: no transform from 'hand'", "camera": "arm"}]
+    frames.pose = (0.0, 0.0, 2.0), (0.0, 0.0, 0.0, 1.0)
+    output.send(frame, bodies)
+    client.spin_until(lambda: images, description="an image")
+    assert (images[0].header.frame_id, images[0].header.stamp.sec) == ("hand", 1)
+    assert np.abs(pixels(images[0]) - 3.0).max() < 1e-6
+    assert answers[1:] == [{"found": "camera 'arm' follows frame 'hand'", "camera": "arm"}]
+    frames.pose = None
+    output.send(frame, bodies)
+    assert len(answers) == 3, "a frame that is lost again is reported"
 
 
 def test_quality_of_service_may_be_overridden(client: Client) -> None:
