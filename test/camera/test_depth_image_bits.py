@@ -24,7 +24,11 @@ cells = np.arange(900).reshape(30, 30)
 triangles = np.stack([cells[:-1, :-1].ravel(), cells[:-1, 1:].ravel(), cells[1:, :-1].ravel()], axis=1)
 sizes = {"plane": (), "box": (0.3, 0.2, 0.1), "sphere": (0.2,), "capsule": (0.1, 0.2), "cylinder": (0.1, 0.2)}
 bodies = [
-    (Obstacle(name=shape, shape=shape, size=size), np.array([0.25 * k - 0.6, 0.1, 0.6 if k else 3.0, 0.9, 0.3, 0.1, 0.2]), k + 2)
+    (
+        Obstacle(name=shape, shape=shape, size=size),
+        np.array([0.25 * k - 0.6, 0.1, 0.6 if k else 3.0, 0.9, 0.3, 0.1, 0.2]),
+        k + 2,
+    )
     for k, (shape, size) in enumerate(sizes.items())
 ]
 camera = DepthCamera("wrist", CameraParameters(width=101, height=67, min_depth=0.001), triangles)
