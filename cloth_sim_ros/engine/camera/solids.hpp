@@ -40,7 +40,7 @@ CLOTH_INLINE void intersect_slab(V from, V along, double half, V& entry, V& exit
     exit = smaller(larger(lower, upper), exit);
 }
 
-/// Where rays from an origin outside a shape enter it. The point at a depth t is origin + t direction.
+/// Where lines enter a shape, which is convex. The point at a depth t is origin + t direction.
 template <Shape S>
 CLOTH_INLINE Entry entry_into(Vec3<V> o, Vec3<V> d, Vec3<double> size) {
     const V none{};
@@ -87,7 +87,7 @@ inline Window ball_window(const Pinhole& camera, Vec3<double> centre, double rad
                   fma(camera.fy, high(centre.y), camera.cy) + 1.0);
 }
 
-/// Draw a shape that is no mesh. A shape that contains the camera is left out.
+/// Draw a shape that is no mesh. Rays enter a shape that contains the camera behind it, so it is not drawn.
 inline void draw_solid(ZBuffer& buffer, const Placement& placement, Shape shape, Vec3<double> size, double radius,
                        std::uint16_t label) {
     const double* const t = placement.translation;
@@ -97,7 +97,6 @@ inline void draw_solid(ZBuffer& buffer, const Placement& placement, Shape shape,
     contact::with_shape(shape, [&](auto constant) {
         constexpr Shape S = constant;
         if constexpr (S != Shape::mesh) {
-            if (!(contact::nearest_on<S, double>(origin, size).gap > 0.0)) return;
             const Vec3<V> o{splat<V>(origin.x), splat<V>(origin.y), splat<V>(origin.z)};
             buffer.visit_window(pixels, [&](std::int64_t first, V u, double v, M inside) CLOTH_INLINED {
                 const Vec3<V> ray{(u - splat<V>(camera.cx)) / splat<V>(camera.fx),
