@@ -161,6 +161,13 @@ def test_node_loads_without_pip_only_packages() -> None:
     loaded_by(modules_of("ros"), absent={"mcap", "rosbags", "lz4", "zstandard", "tf2_ros", "launch", *LATE})
 
 
+def test_node_loads_no_camera_module() -> None:
+    # Only a scene with cameras does.
+    pytest.importorskip("rclpy")
+    loaded = loaded_by(["cloth_sim_ros.ros.node"])
+    assert not [name for name in loaded if "camera" in name.split(".")], sorted(loaded)
+
+
 def test_replay_loads_without_ros_and_without_scipy() -> None:
     skip_without("replay")
     loaded_by(modules_of("replay"), absent=ROS | {"scipy"})
