@@ -209,6 +209,17 @@ def test_process_that_ends_leaves_the_node_running(client: Client, capfd: pytest
     )
 
 
+def test_process_leaves_the_graph_with_the_node(client: Client) -> None:
+    with ClockedCloth(client, SCENE) as cloth:
+        cameras = cloth.node.outputs.cameras
+        assert cameras is not None
+        Watcher(client, "depth/image_rect_raw").of_one_stamp(cloth)
+        # private: there is no other way to its process
+        process = cameras._process._process  # type: ignore[union-attr]  # private, likewise
+        assert process is not None and process.poll() is None
+    assert process.returncode == 0, "it was not killed"
+
+
 def test_missing_transform_is_reported_once(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     with ClockedCloth(client, {**SCENE, "wrist.frame": "hand_optical"}) as cloth:
         cameras = cloth.node.outputs.cameras

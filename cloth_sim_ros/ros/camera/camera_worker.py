@@ -184,12 +184,18 @@ class CameraWorker:
         self._cameras = [CameraOutput(self._node, name, setup, transformer, answer) for name in setup.cameras]
         for camera in self._cameras:
             camera.listen()
+        self._executor = SingleThreadedExecutor()
         if any(camera.frame for camera in setup.cameras.values()):
-            executor = SingleThreadedExecutor()
-            executor.add_node(self._node)
-            threading.Thread(target=executor.spin, name="tf", daemon=True).start()
+            self._executor.add_node(self._node)
+            threading.Thread(target=self._executor.spin, name="tf", daemon=True).start()
         self._subscribed: list[str] = []
         self._bodies: tuple[Obstacle, ...] = ()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown(timeout_sec=_POLL_PERIOD)
+        self._node.destroy_node()
+        rclpy.try_shutdown()
 
     def report_subscribed(self) -> None:
         """Answer with the cameras that have subscribers, if they changed."""
@@ -222,17 +228,16 @@ def main(arguments: Sequence[str]) -> int:
     def answer(values: dict[str, Any]) -> None:
         print(json.dumps(values), flush=True)
 
-    try:
+    # The node may end, or be killed while it sends a frame.
+    with contextlib.suppress(EOFError, pickle.UnpicklingError, BrokenPipeError), contextlib.ExitStack() as stack:
         worker = CameraWorker(pickle.load(stream), answer)
+        stack.callback(worker.close)
         answer({"done": 0})
         while os.getppid() == parent:
             worker.report_subscribed()
             # The parent sends a frame after the previous one was done: nothing else is in the stream's buffer.
             if select.select([stream], [], [], _POLL_PERIOD)[0]:
                 worker.send(pickle.load(stream))
-    except (EOFError, pickle.UnpicklingError, BrokenPipeError):
-        # The node has ended, or was killed while it sent a frame.
-        pass
     return 0
 
 
@@ -247,6 +252,5 @@ def _profile(policies: dict[str, Any]) -> QoSProfile:
 
 if __name__ == "__main__":
     status = main(sys.argv[1:])
-    # The executor's thread may still wait: without its end the interpreter would wait too.
-    sys.stdout.flush()
+    # Without the wait for threads, and for a pipe that nobody reads any more.
     os._exit(status)

@@ -66,7 +66,12 @@ class Cameras:
         if not len(self._setup.triangles):
             self._log.warn("cameras", "cameras do not see this cloth: it has no triangles")
         self._process = WorkerProcess(
-            _WORKER_MODULE, name="cameras", encode=self._encode, on_answer=self._receive, on_end=self._end
+            _WORKER_MODULE,
+            name="cameras",
+            encode=self._encode,
+            on_answer=self._receive,
+            on_end=self._end,
+            ends_with_input=True,
         )
         self._process.put(self._setup)
 

@@ -21,8 +21,8 @@ from typing import IO, Any, Generic, TypeVar
 from cloth_sim_ros.session.child_process import child_environment, module_command
 
 Job = TypeVar("Job")
-#: Longest wait for the end of a killed process [s].
-_KILL_TIMEOUT = 1.0
+#: Longest wait for the end of a process after its input, and of a killed one [s].
+_END_TIMEOUT, _KILL_TIMEOUT = 1.0, 1.0
 
 
 class WorkerProcess(Generic[Job]):
@@ -35,6 +35,8 @@ class WorkerProcess(Generic[Job]):
         encode: returns the object that is pickled for a job; called in a thread.
         on_answer: takes an answer and returns true if the process is ready for a job; called in another thread.
         on_end: called with the reason if the process ends by itself or can't be started.
+        ends_with_input: true if the process ends soon after its input, and has to leave the ROS graph in order; false
+            if it is killed.
     """
 
     def __init__(
@@ -45,9 +47,10 @@ class WorkerProcess(Generic[Job]):
         encode: Callable[[Job], Any],
         on_answer: Callable[[dict[str, Any]], bool],
         on_end: Callable[[str], None],
+        ends_with_input: bool = False,
     ) -> None:
         self._module, self._name, self._encode = module, name, encode
-        self._on_answer, self._on_end = on_answer, on_end
+        self._on_answer, self._on_end, self._ends_with_input = on_answer, on_end, ends_with_input
         self._jobs: queue.Queue[Job | None] = queue.Queue(maxsize=1)
         self._process: subprocess.Popen[bytes] | None = None
         self._closed = threading.Event()
@@ -67,16 +70,21 @@ class WorkerProcess(Generic[Job]):
     def close(self) -> None:
         """End the process."""
         self._closed.set()
-        process = self._process
-        if process is not None:
-            process.kill()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_KILL_TIMEOUT)
-        # No job comes any more: only the thread takes from the queue.
+        # No job comes any more: only the thread takes from the queue. It then closes the process's input.
         with contextlib.suppress(queue.Empty):
             self._jobs.get_nowait()
         self._jobs.put_nowait(None)
         self._ready.release()
+        process = self._process
+        if process is None:
+            return
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            if self._ends_with_input:
+                process.wait(_END_TIMEOUT)
+                return
+        process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_KILL_TIMEOUT)
 
     def _run(self) -> None:
         """Start the process and send it jobs, in a thread because both may block."""
