@@ -22,6 +22,7 @@ COMMANDS = {
     "contact": ("benchmarks.contact.obstacles", "obstacles and friction against theory, and the cost of contact"),
     "batch": ("benchmarks.batch.throughput", "many cloths in one process: speed, threads, memory, rollouts, a soak"),
     "studies": ("benchmarks.batch.studies", "cloth_batch beside plain simulations, and Dask's cost per task"),
+    "ros-camera": ("benchmarks.ros.camera", "processor time of a depth camera's image and messages"),
     "ros-latency": ("benchmarks.ros.latency", "time from a target to the cloud that shows it"),
     "ros-live": ("benchmarks.ros.live", "late frames of a live cloth that is carried, swung and released"),
     "ros-node": ("benchmarks.ros.node", "time that the node adds to a frame; late frames while parameters are set"),

@@ -21,8 +21,8 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
         "cloth_sim",
         "scene of the package: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
         "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold, three "
-        "towels in a stack, a strip that two grippers twist",
-        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist"],
+        "towels in a stack, a strip that two grippers twist, a sheet before a depth camera",
+        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist", "camera"],
     ),
     ("params_file", "", "ROS parameter file of the cloth, in place of a scene of the package", None),
     ("namespace", "", "namespace of the node", None),

@@ -33,10 +33,8 @@ import attrs
 from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [
-    "README.md",
-    *(f"docs/tutorials/{name}.md" for name in ("grasp", "robot_gripper", "mesh", "session", "library")),
-]
+TUTORIALS = ("grasp", "robot_gripper", "camera", "mesh", "session", "library")
+PAGES = ["README.md", *(f"docs/tutorials/{name}.md" for name in TUTORIALS)]
 PAGES += ["CONTRIBUTING.md"]
 RUNS = ("bash", "python")
 #: Time limit of a block [s]; `make test` from a clean clone takes longest.

@@ -126,3 +126,21 @@ def test_grasp_node_lifts_the_corner_of_a_live_cloth(
     assert held > 0
     assert released == 0
     assert cloth.interrupt() == 0, cloth.output
+
+
+def test_depth_picture_shows_cloth_and_obstacles(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy")
+    from support.ros_client import start_cloth
+
+    cloth = start_cloth(start_process, arguments=["--params-file", str(ROOT / "config" / "camera.yaml")])
+    robot = start_process([sys.executable, ROOT / "examples" / "depth_picture.py"], cwd=tmp_path)
+    assert robot.wait() == 0, robot.output
+    tutorial = (ROOT / "docs" / "tutorials" / "camera.md").read_text()
+    assert all(
+        line in tutorial for line in robot.output.splitlines() if line.startswith(("cloth", "ball", "wall", "640"))
+    )
+    assert numbers(r"ball: (\S+) to", robot.output) == [1.55]
+    assert (tmp_path / "depth.png").stat().st_size > 1000
+    assert cloth.interrupt() == 0, cloth.output

@@ -40,7 +40,7 @@ LATE = {
 FILES = {"mcap", "rosbags", "yaml"}
 #: Rooms, and `batch`, the old address of three of them.
 SUBPACKAGES = (
-    *("engine", "physics", "scene", "simulation", "session", "verify", "replay", "ros"),
+    *("engine", "physics", "scene", "camera", "simulation", "session", "verify", "replay", "ros"),
     *("studies", "learning", "fit", "batch"),
 )
 
@@ -50,6 +50,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     "engine": (set(), ROS | LATE | FILES | {"scipy", "tqdm"}),
     "physics": ({"engine"}, ROS | LATE | FILES | {"scipy", "tqdm"}),
     "scene": ({"engine", "physics"}, ROS | LATE | {"mcap", "rosbags"}),
+    "camera": ({"engine", "physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
     "simulation": ({"engine", "physics", "scene"}, ROS | LATE | {"mcap", "rosbags"}),
     "session": (set(), ROS | LATE | {"scipy"}),
     "replay": ({"session"}, ROS | {"scipy"}),
@@ -63,7 +64,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
         {"engine", "physics", "scene", "simulation", "session", "studies", "learning", "fit"},
         ROS | LATE - {"gymnasium"},
     ),
-    "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
+    "ros": ({"engine", "physics", "scene", "camera", "simulation", "session"}, LATE),
 }
 
 
@@ -72,7 +73,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 _MEASURED = {"engine", "physics", "scene", "simulation", "session", "verify"}
 MEASURING_FOLDERS: dict[str, tuple[set[str], set[str]]] = {
     "validation": (_MEASURED, {"support"}),
-    "benchmarks": (_MEASURED | {"studies", "learning", "ros"}, {"support", "validation"}),
+    "benchmarks": (_MEASURED | {"camera", "studies", "learning", "ros"}, {"support", "validation"}),
 }
 #: Folders of the tests of both, without which the product's tests pass.
 TESTED = ("benchmarks", "validation")
@@ -158,6 +159,13 @@ def test_node_loads_without_pip_only_packages() -> None:
     # Recording, replay, mesh files and transforms are then refused with the reason at their use.
     pytest.importorskip("rclpy")
     loaded_by(modules_of("ros"), absent={"mcap", "rosbags", "lz4", "zstandard", "tf2_ros", "launch", *LATE})
+
+
+def test_node_loads_no_camera_module() -> None:
+    # Only a scene with cameras does.
+    pytest.importorskip("rclpy")
+    loaded = loaded_by(["cloth_sim_ros.ros.node"])
+    assert not [name for name in loaded if "camera" in name.split(".")], sorted(loaded)
 
 
 def test_replay_loads_without_ros_and_without_scipy() -> None:

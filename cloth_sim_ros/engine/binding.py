@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 21
+ABI = 22
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -168,6 +168,8 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_combine": (_INT, _I, _P, _P, _I, _P),
     "cloth_distance": (_INT, _P, _P, _I, _P),
     "cloth_weighted_dot": (_INT, _P, _P, _P, _I, _P),
+    "cloth_draw_triangles": (_INT, _I, _I, _P, _P, _I, _P, _I, _P, _I, _I, _P, _P),
+    "cloth_draw_solid": (_INT, _I, _I, _P, _P, _I, _P, _D, _I, _P, _P),
 }
 
 

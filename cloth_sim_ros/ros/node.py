@@ -186,6 +186,7 @@ class ClothNode:
 
     def _close(self, timeout: float) -> None:
         self.reporting.accuracy.close()
+        self.outputs.close_cameras()
         self.recording.session.discard()
         self.stepper.queue.refuse("the node stops")
         # If a signal aborted a frame, there is no consistent state to report.

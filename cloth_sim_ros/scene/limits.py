@@ -14,5 +14,5 @@ FRICTION = "1 or 2 entries, the second no larger"
 QUATERNION = "finite entries, not all 0"
 #: Constraint of optional names of coordinate frames.
 FRAME = "no / as its first character, no blanks around it"
-#: Constraint of names of grippers and obstacles.
+#: Constraint of names of grippers, obstacles and cameras.
 NAMES = "letters, digits and _ with a letter first, each name once"

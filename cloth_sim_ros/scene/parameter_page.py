@@ -35,6 +35,8 @@ service](../node/topics.md#quality-of-service)).
 
 #: Stands for the name of an obstacle.
 OBSTACLE = "<obstacle>"
+#: Stands for the name of a camera.
+CAMERA = "<camera>"
 #: Headings of the groups, in the order of the page; "" is the group of names without one.
 _GROUPS = {
     "": "Node and time stepping",
@@ -46,6 +48,7 @@ _GROUPS = {
     "gripper": "Grippers",
     "contact": "Contact with obstacles and of the cloth with itself",
     OBSTACLE: "Each obstacle, under its own name",
+    CAMERA: "Each depth camera, under its own name",
     "points": "Point cloud",
     "record": "Recording",
     "diagnostics": "Diagnostics",
@@ -54,7 +57,7 @@ _GROUPS = {
 
 def page() -> str:
     """Return the whole page, with each declared parameter once."""
-    declared = Scene.declared([OBSTACLE])
+    declared = Scene.declared([OBSTACLE], cameras=[CAMERA])
     groups = dict.fromkeys([*_GROUPS, *(_group(entry) for entry in declared)])
     parts = [_HEAD]
     for group in groups:

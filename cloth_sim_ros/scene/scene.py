@@ -24,11 +24,13 @@ from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import SleepState
 from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene import cameras as scene_cameras
 from cloth_sim_ros.scene import coverage, gripper_parameters, keypoints, limits, relaxation, sections
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene.build import Sheet, anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
+from cloth_sim_ros.scene.camera_section import CameraParameters
 from cloth_sim_ros.scene.gripper_section import NO_ACTION, PINCH, PRESCRIBED
 from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters import parameter_file
@@ -102,6 +104,13 @@ class Scene:
         live=True,
     )
     contact: ContactParameters = section(ContactParameters)
+    cameras: tuple[str, ...] = parameter(
+        "string[]",
+        ("",),
+        "Names of the depth cameras, each with parameters <name>.width and further; none by ['']",
+        constraint=limits.NAMES,
+        observes=True,
+    )
     integrator: str = parameter(
         "string", "auto", "Time integrator; auto chooses by stiffness and tolerance", choices=INTEGRATORS, live=True
     )
@@ -173,6 +182,8 @@ class Scene:
     diagnostics: DiagnosticsParameters = section(DiagnosticsParameters)
     #: Described obstacles by name: those in `obstacles`, and those that can be added to it.
     described: dict[str, sections.ObstacleParameters] = attrs.field(factory=dict)
+    #: Parameters of the depth cameras by name.
+    views: dict[str, CameraParameters] = attrs.field(factory=dict)
     #: Parameters of single grippers, by full name.
     individual: dict[str, Any] = attrs.field(factory=dict)
     #: Content of the files that parameters name, by that name; a recording needs it to run again.
@@ -191,23 +202,35 @@ class Scene:
 
     @classmethod
     def declared(
-        cls, obstacles: Iterable[str] = (), individual: Iterable[str] = ()
+        cls, obstacles: Iterable[str] = (), individual: Iterable[str] = (), cameras: Iterable[str] = ()
     ) -> tuple[parameters.Parameter, ...]:
-        """Return every parameter of a scene, with those of named obstacles and with single grippers' of full names."""
-        obstacle_entries = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
-        return (*parameters.declared(cls), *obstacle_entries, *map(gripper_parameters.declared, individual))
+        """Return every parameter of a scene.
+
+        Args:
+            obstacles: names of described obstacles.
+            individual: full names of single grippers' parameters.
+            cameras: names of cameras.
+        """
+        entries = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
+        entries += [entry for name in cameras for entry in scene_cameras.declared(name)]
+        return (*parameters.declared(cls), *entries, *map(gripper_parameters.declared, individual))
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
-        """Return every parameter of a scene, with those of the obstacles and grippers that full names describe."""
+        """Return every parameter of a scene, with those of the obstacles and grippers that full names describe.
+
+        If `names` are values by full name, they include those of the cameras in `cameras`.
+        """
         full_names = list(names)
         described = scene_obstacles.described(full_names, cls.groups())
-        return cls.declared(described, gripper_parameters.individual(full_names, cls.groups(), described))
+        cameras = scene_cameras.named(names, cls.groups())
+        individual = gripper_parameters.individual(full_names, cls.groups(), [*described, *cameras])
+        return cls.declared(described, individual, cameras)
 
     @property
     def entries(self) -> tuple[parameters.Parameter, ...]:
         """Every parameter of this scene."""
-        return self.declared(self.described, self.individual)
+        return self.declared(self.described, self.individual, self.views)
 
     @staticmethod
     @cache
@@ -229,16 +252,20 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, an invalid value, or a file that can't be read.
         """
-        names = scene_obstacles.described(values, cls.groups())
+        names, cameras = scene_obstacles.described(values, cls.groups()), scene_cameras.named(values, cls.groups())
         checked = parameters.check(
             cls.declared_for(values),
             {**without_surface(values), **values},
-            hint=lambda name: scene_obstacles.hint(name, cls.groups()),
+            hint=lambda name: scene_obstacles.hint(name, cls.groups()) or scene_cameras.hint(name, cls.groups()),
         )
         content = scene_files.read(checked, files or {}, folder)
         described = scene_obstacles.read(checked, names)
-        individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), names)}
-        scene: Scene = parameters.build(cls, checked, described=described, individual=individual, files=content)
+        owners = [*names, *cameras]
+        individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), owners)}
+        views = scene_cameras.read(checked, cameras)
+        scene: Scene = parameters.build(
+            cls, checked, described=described, views=views, individual=individual, files=content
+        )
         return scene
 
     @classmethod
@@ -259,6 +286,8 @@ class Scene:
         values = parameters.flatten(self)
         for name, obstacle in self.described.items():
             values.update(parameters.flatten(obstacle, f"{name}."))
+        for name, camera in self.views.items():
+            values.update(parameters.flatten(camera, f"{name}."))
         return values | self.individual
 
     def changed(self, values: dict[str, Any]) -> Scene:
@@ -268,7 +297,7 @@ class Scene:
             ParameterError: for an unknown name, a read-only parameter, or an invalid value.
         """
         described = scene_obstacles.described([*self.parameters(), *values], self.groups())
-        individual = gripper_parameters.individual(values, self.groups(), described)
+        individual = gripper_parameters.individual(values, self.groups(), [*described, *self.views])
         known = {entry.name: entry for entry in self.declared(individual=individual)}
         for name in values:
             if name in known and not known[name].live:
@@ -278,6 +307,8 @@ class Scene:
         for name in self.obstacle_names:
             if name in scene.obstacle_names:
                 scene_obstacles.check_change(name, self.described[name], scene.described[name])
+        for name, camera in self.views.items():
+            scene_cameras.check_change(name, camera, scene.views[name])
         return scene
 
     @property
@@ -317,6 +348,11 @@ class Scene:
     def of_gripper(self, gripper: str, leaf: str) -> Any:
         """Return the value of `<gripper>.<leaf>` if set, else of `gripper.<leaf>`; see `gripper_parameters.LEAVES`."""
         return gripper_parameters.value(self.individual, self.gripper, gripper, leaf)
+
+    @property
+    def camera_names(self) -> list[str]:
+        """Names of the depth cameras."""
+        return [name for name in self.cameras if name]
 
     @property
     def obstacle_names(self) -> list[str]:

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from typing import Any, Protocol
 
 from cloth_sim_ros.physics.plan.gripper_path import normalized
-from cloth_sim_ros.scene import gripper_parameters, obstacles, sections
+from cloth_sim_ros.scene import cameras, gripper_parameters, obstacles, sections
+from cloth_sim_ros.scene.camera_section import CameraParameters
 from cloth_sim_ros.scene.limits import MAX_PARTICLES, MIN_TOLERANCE
 from cloth_sim_ros.scene.parameters.declare import Faults
 
@@ -46,6 +47,12 @@ class SceneValues(Protocol):
     @property
     def described(self) -> dict[str, sections.ObstacleParameters]: ...
 
+    @property
+    def camera_names(self) -> list[str]: ...
+
+    @property
+    def views(self) -> dict[str, CameraParameters]: ...
+
     @staticmethod
     def groups() -> frozenset[str]: ...
 
@@ -62,6 +69,15 @@ def check_values(scene: SceneValues) -> None:
     faults.collect(lambda: obstacles.check_distinct("gripper", grippers))
     faults.collect(lambda: gripper_parameters.check_grippers(scene.individual, grippers))
     faults.collect(lambda: obstacles.check_names(names, scene.described, grippers, scene.groups()))
+    faults.collect(
+        lambda: cameras.check_cameras(
+            scene.camera_names,
+            scene.views,
+            grippers=grippers,
+            obstacles=[*names, *scene.described],
+            groups=scene.groups(),
+        )
+    )
     faults.collect(lambda: obstacles.check_friction("contact.friction", scene.contact.friction))
     faults.refuse()
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.sheets.normals import vertex_normals
+from cloth_sim_ros.scene.cameras import optical_frames
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.sections import PointsParameters
 from cloth_sim_ros.session import messages
@@ -212,7 +213,7 @@ def compare_topology(message: Message, scene: Scene, findings: Findings) -> None
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:
-    """Compare recorded transforms: of the cloth's centre of mass, and of each placed gripper."""
+    """Compare recorded transforms: of the cloth's centre of mass, each placed gripper and each camera without TF."""
     frames = _transforms(node.strip("/"), simulation)
     parent = simulation.scene.frame_id
     if same_bytes(message.data, messages.transforms_bytes(frames, frame_id=parent, stamp=stamp)):
@@ -250,7 +251,7 @@ def _transforms(prefix: str, simulation: Simulation) -> list[tuple[str, Sequence
     frames: list[tuple[str, Sequence[float]]] = [(f"{prefix}/{_CLOTH}", [*centre.tolist(), 0.0, 0.0, 0.0, 1.0])]
     poses = grippers.poses().tolist()
     frames += [(f"{prefix}/{name}", poses[k]) for k, name in enumerate(grippers.names) if grippers.is_placed(k)]
-    return frames
+    return [*frames, *optical_frames(prefix, simulation.scene.views)]
 
 
 def _header_difference(header: object, frame_id: str, stamp: int) -> str:

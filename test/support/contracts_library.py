@@ -70,10 +70,13 @@ def event_fields() -> dict[str, Any]:
 
 
 def scene_parameters() -> dict[str, Any]:
-    """Return every parameter of a scene with one obstacle, `table`, and one gripper with values of its own, `left`."""
+    """Return every parameter of a scene.
+
+    It has one obstacle, `table`, one camera, `wrist`, and one gripper with values of its own, `left`.
+    """
     leaves = [entry.name for entry in Scene.declared() if entry.name.startswith("gripper.")]
     names = ["table.shape", "grippers", *(leaf.replace("gripper.", "left.") for leaf in leaves)]
-    entries = Scene.declared_for(names)
+    entries = Scene.declared_for({**dict.fromkeys(names), "cameras": ["wrist"]})
     return {
         "order": [entry.name for entry in entries],
         "parameters": {

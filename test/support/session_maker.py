@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from cloth_sim_ros.scene.cameras import camera_pose
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session import old_keys
@@ -246,12 +247,13 @@ class SessionMaker:
             self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
 
     def _transforms(self, now: int) -> bytes:
-        """Encode the TF frames of the cloth and of the placed grippers."""
+        """Encode the TF frames of the cloth, of the placed grippers and of the cameras."""
         simulation = self.simulation
         centre = (simulation.state.x * simulation.model.masses).sum(axis=1) / simulation.model.mass
         poses = {"cloth": [*centre.tolist(), 0.0, 0.0, 0.0, 1.0]}
         grippers = simulation.grippers
         poses |= {name: grippers.poses()[k].tolist() for k, name in enumerate(grippers.names) if grippers.is_placed(k)}
+        poses |= {f"{name}_optical_frame": [*camera_pose(view)] for name, view in simulation.scene.views.items()}
         transform, quaternion = (
             message_class("geometry_msgs/msg/Transform"),
             message_class("geometry_msgs/msg/Quaternion"),

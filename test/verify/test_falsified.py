@@ -20,7 +20,7 @@ FRAMES = 24
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    shown = {"points__velocity": True, "tf__publish": True}
+    shown = {"points__velocity": True, "tf__publish": True, "cameras": ["wrist"], "wrist__width": 64}
     return make_grasp(tmp_path_factory.mktemp("session"), seconds=FRAMES / 60.0, cloth__resolution=[5, 6], **shown)
 
 

@@ -257,4 +257,17 @@ CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs,
 /// Sum in an order that depends on `count` alone.
 CLOTH_API int cloth_sum(const double* values, std::int64_t count, double* total);
 
+// Depth images (height, width), followed by 16 numbers of padding: inverse depth [1/m], 0 without a surface, and labels.
+// Intrinsics: fx, fy, cx, cy. Placement: from the drawn frame to the camera's, see camera::Placement.
+
+/// Draw triangles (count, 3) of vertices x (3, n) [m]. `solid`: seen from outside only.
+CLOTH_API int cloth_draw_triangles(std::int64_t width, std::int64_t height, const double* intrinsics,
+                                   const double* placement, std::int64_t n, const double* x, std::int64_t count,
+                                   const std::int64_t* corners, std::int64_t solid, std::int64_t label, float* inverse,
+                                   std::uint16_t* labels);
+/// Draw a shape with its dimensions, three numbers, and the radius of a ball about its frame that contains it [m].
+CLOTH_API int cloth_draw_solid(std::int64_t width, std::int64_t height, const double* intrinsics,
+                               const double* placement, std::int64_t shape, const double* size, double radius,
+                               std::int64_t label, float* inverse, std::uint16_t* labels);
+
 }  // namespace cloth::api

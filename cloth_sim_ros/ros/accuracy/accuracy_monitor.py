@@ -9,28 +9,20 @@ and counted.
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import pickle
 import queue
-import subprocess
-import threading
-from typing import IO, Any
+from typing import Any
 
 import attrs
 
 from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.ros.process.worker_process import WorkerProcess
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.simulation.events import Event
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 _WORKER_MODULE = "cloth_sim_ros.verify.accuracy_worker"
 #: Length of a window [s].
 _WINDOW_LENGTH = 1.0
-#: Longest wait for the end of a killed process [s].
-_KILL_TIMEOUT = 1.0
 
 
 @attrs.frozen(eq=False)
@@ -47,22 +39,21 @@ class AccuracyMonitor:
     """Starts the worker process without waiting for it, sends it windows and collects their errors."""
 
     def __init__(self) -> None:
-        self._jobs: queue.Queue[_WindowJob | None] = queue.Queue(maxsize=1)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._closed = threading.Event()
         self._scene: Scene | None = None
         self._start: State | None = None
         self._events: list[tuple[Event, ...]] = []
         self._n_moved = 0
-        # Each is written by one of the threads and read by others.
+        #: Scene that the process has; used by the sending thread.
+        self._sent_scene: Scene | None = None
+        # Each is written by one of the process's threads and read by others.
         self._ended = ""
         self._latest: dict[str, Any] = {}
         self._n_windows = self._n_violated = 0
         self._warnings: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._n_skipped = 0
-        #: A window is sent after the previous one was answered; a pipe would buffer a minute of them.
-        self._ready = threading.Semaphore(1)
-        threading.Thread(target=self._run_worker, name="accuracy", daemon=True).start()
+        self._process: WorkerProcess[_WindowJob] = WorkerProcess(
+            _WORKER_MODULE, name="accuracy", encode=self._encode, on_answer=self._receive, on_end=self._end
+        )
 
     def before_frame(self, simulation: Simulation) -> None:
         """Start a window if none is open."""
@@ -80,11 +71,8 @@ class AccuracyMonitor:
             return
         job = _WindowJob(self._scene, self._start, self._events, simulation.state.shallow_copy())
         self._start = None
-        # At most one window waits for the process. A new one replaces an older one that still waits.
-        with contextlib.suppress(queue.Empty):
-            self._jobs.get_nowait()
+        if self._process.put(job) is not None:
             self._n_skipped += 1
-        self._jobs.put_nowait(job)
 
     def describe(self, now: float) -> dict[str, str]:
         """Return the entries for diagnostics at a simulated time [s]."""
@@ -117,68 +105,20 @@ class AccuracyMonitor:
 
     def close(self) -> None:
         """End the process."""
-        self._closed.set()
-        process = self._process
-        if process is not None:
-            process.kill()
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_KILL_TIMEOUT)
-        # No frame comes any more: only the thread takes from the queue.
-        with contextlib.suppress(queue.Empty):
-            self._jobs.get_nowait()
-        self._jobs.put_nowait(None)
+        self._process.close()
 
-    def _run_worker(self) -> None:
-        """Start the process and send it windows, in a thread because both may block."""
-        # Not in the terminal's process group: Ctrl-C ends the node, and the node ends the process.
-        try:
-            process = subprocess.Popen(
-                module_command(_WORKER_MODULE, str(os.getpid())),
-                env=child_environment(),
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                start_new_session=True,
-            )
-        except OSError as error:
-            self._end(f"could not be started: {error}")
-            return
-        self._process = process
-        if self._closed.is_set():
-            process.kill()
-        assert process.stdin is not None and process.stdout is not None
-        threading.Thread(
-            target=self._read_verdicts, args=(process, process.stdout), name="accuracy", daemon=True
-        ).start()
-        # If the process has ended, the reading thread reports it.
-        with contextlib.suppress(OSError), process.stdin:
-            self._send_windows(process.stdin)
+    def _encode(self, job: _WindowJob) -> tuple[Any, ...]:
+        """Return what the process reads of a window."""
+        new = job.scene is not self._sent_scene
+        self._sent_scene = job.scene
+        values, files = (job.scene.parameters(), dict(job.scene.files)) if new else (None, None)
+        return values, files, job.start, job.events, job.end.digest()
 
-    def _send_windows(self, windows: IO[bytes]) -> None:
-        """Send windows until the monitor is closed."""
-        sent_scene: Scene | None = None
-        while True:
-            self._ready.acquire()
-            job = self._jobs.get()
-            if job is None or self._ended:
-                return
-            new = job.scene is not sent_scene
-            sent_scene = job.scene
-            values, files = (sent_scene.parameters(), dict(sent_scene.files)) if new else (None, None)
-            pickle.dump((values, files, job.start, job.events, job.end.digest()), windows)
-            windows.flush()
-
-    def _read_verdicts(self, process: subprocess.Popen[bytes], lines: IO[bytes]) -> None:
-        with lines:
-            for line in lines:
-                self._receive(json.loads(line))
-                self._ready.release()
-        self._end(f"ended by itself (status {process.wait()})")
-        self._ready.release()
-
-    def _receive(self, verdict: dict[str, Any]) -> None:
+    def _receive(self, verdict: dict[str, Any]) -> bool:
+        """Take the verdict on a window; the process is then ready for another one."""
         if "trouble" in verdict:
             self._warnings.put(f"the accuracy of a window is not known: {verdict['trouble']}")
-            return
+            return True
         self._n_windows += 1
         if verdict["verdict"] == "not kept":
             self._n_violated += 1
@@ -187,8 +127,8 @@ class AccuracyMonitor:
                 f"{verdict['error']:.3g} m, above the bound of {verdict['allowed']:.3g} m that the tolerance guarantees"
             )
         self._latest = verdict
+        return True
 
     def _end(self, reason: str) -> None:
-        if not self._closed.is_set():
-            self._ended = f"{reason}; set diagnostics.accuracy to false and true again to restart it"
-            self._warnings.put(f"the process that measures accuracy {self._ended}")
+        self._ended = f"{reason}; set diagnostics.accuracy to false and true again to restart it"
+        self._warnings.put(f"the process that measures accuracy {self._ended}")

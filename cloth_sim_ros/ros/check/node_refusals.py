@@ -18,8 +18,9 @@ from cloth_sim_ros.scene.scene import Scene
 _SIM_TIME = "use_sim_time"
 #: Longest full name of a topic in ROS 2 (rmw's RMW_TOPIC_MAX_NAME_LENGTH).
 MAX_TOPIC_LENGTH = 247
-#: The longest topic names below that of a gripper or obstacle: of all, of a sensor, and of an action.
+#: The longest topic names below that of a gripper or obstacle: of all, of a sensor, of an action; and of a camera.
 _LONGEST_LEAF, _SENSOR_LEAF, _ACTION_LEAF = "/wrench", "/ft_sensor_wrench", "/gripper_cmd/_action/cancel_goalRequest"
+_LONGEST_CAMERA_LEAF = f"/{qos_rules.DEPTH}"
 
 
 def refuse_values(values: Mapping[str, Any]) -> None:
@@ -75,10 +76,13 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
     Raises:
         ParameterError: names the parameter or the folder.
     """
-    leaf = _SENSOR_LEAF if scene.gripper.sensor_frame else _LONGEST_LEAF
-    leaf = _ACTION_LEAF if scene.has_actions else leaf
-    max_length = MAX_TOPIC_LENGTH - len(f"/{node.strip('/')}/{leaf}")
-    for kind, names in (("gripper", scene.gripper_names), ("obstacle", [*scene.obstacle_names, *scene.described])):
+    gripper_leaf = _SENSOR_LEAF if scene.gripper.sensor_frame else _LONGEST_LEAF
+    for kind, names, leaf in (
+        ("gripper", scene.gripper_names, _ACTION_LEAF if scene.has_actions else gripper_leaf),
+        ("obstacle", [*scene.obstacle_names, *scene.described], _LONGEST_LEAF),
+        ("camera", scene.camera_names, _LONGEST_CAMERA_LEAF),
+    ):
+        max_length = MAX_TOPIC_LENGTH - len(f"/{node.strip('/')}/{leaf}")
         for name in names:
             if len(name) > max_length:
                 raise ParameterError(

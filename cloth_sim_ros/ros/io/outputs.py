@@ -30,6 +30,7 @@ from cloth_sim_ros.scene.sections import PointsParameters
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.ros.camera.cameras import Cameras
     from cloth_sim_ros.ros.io.ground_truth import CoverageTopic, KeypointTopic
     from cloth_sim_ros.ros.io.sensor_wrenches import SensorWrenches
 
@@ -130,13 +131,21 @@ class Outputs:
             from cloth_sim_ros.ros.io.sensor_wrenches import SensorWrenches
 
             self._sensors = SensorWrenches(node, simulation, sink)
+        #: None without cameras.
+        self.cameras: Cameras | None = None
+        if simulation.scene.camera_names:
+            from cloth_sim_ros.ros.camera.cameras import Cameras
+
+            self.cameras = Cameras(node, simulation, log)
         #: Steady time of the last frame that was due [s]; None before the first.
         self._last_published: float | None = None
 
     def start(self, stamp: int) -> None:
-        """Publish topology and obstacles at a ROS time [ns], and subscribe to the targets of obstacles."""
+        """Publish topology and obstacles at a ROS time [ns], subscribe to obstacles' targets, and start cameras."""
         self.cloth.start(stamp)
         self.obstacles.update_topics(stamp)
+        if self.cameras is not None:
+            self.cameras.start()
 
     def must_publish(self, frame: Frame, now: float) -> bool:
         """Return true if a frame is to be published at a steady time [s]: if it differs, or once a second."""
@@ -159,6 +168,18 @@ class Outputs:
         self.transforms.send(stamp)
         for topic in self.ground_truth:
             topic.send(stamp)
+        if self.cameras is not None:
+            self.cameras.send(frame, stamp)
+
+    def report_cameras(self) -> None:
+        """Log what the cameras' process reported."""
+        if self.cameras is not None:
+            self.cameras.report()
+
+    def close_cameras(self) -> None:
+        """End the cameras' process."""
+        if self.cameras is not None:
+            self.cameras.close()
 
     def record_latched(self, stamp: int) -> None:
         """Record the latched messages at the start of a recording, at a ROS time [ns]."""

@@ -299,7 +299,8 @@ class LiveParameters:
     def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
         # Parameters of single grippers and new obstacles are recognised by their names.
         names = [change.name for change in changes]
-        known = {entry.name for entry in Scene.declared_for([*self.accepted.parameters(), *names])}
+        present = self.accepted.parameters()
+        known = {entry.name for entry in Scene.declared_for({**dict.fromkeys(names), **present})}
         return {change.name: _plain(change.value) for change in changes if change.name in known}
 
 

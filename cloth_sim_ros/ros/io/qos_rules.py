@@ -14,6 +14,14 @@ from cloth_sim_ros.scene.parameters.unknown_parameters import QOS_PREFIX
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene
 
+#: Topics of a depth camera, below its name.
+CAMERA_LEAVES = DEPTH, CAMERA_INFO, LABELS, LABEL_NAMES, POINTS = (
+    "depth/image_rect_raw",
+    "depth/camera_info",
+    "labels",
+    "label_names",
+    "points",
+)
 PUBLISHER, SUBSCRIPTION = ENDPOINT_KINDS = ("publisher", "subscription")
 #: Named values of each policy, in rclpy's order.
 _WORDS = {
@@ -57,6 +65,7 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
     out += ["~/frame", "~/snapshot"] if scene.record.topics else []
     out += ["~/keypoints"] if any(scene.keypoints) else []
     out += ["~/coverage"] if scene.coverage.obstacle else []
+    out += [f"~/{name}/{leaf}" for name in scene.camera_names for leaf in CAMERA_LEAVES]
     into = [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("target", "point", "grasp")]
     into += [f"~/{name}/twist" for name in scene.gripper_names if scene.gripper.twist_max_speed]
     out += [f"~/{name}/ft_sensor_wrench" for name in scene.gripper_names if scene.gripper.sensor_frame]

@@ -12,6 +12,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
 from cloth_sim_ros.ros.io.output import Output, RecordSink
+from cloth_sim_ros.scene.cameras import optical_frames
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -22,7 +23,9 @@ CLOTH_FRAME = "cloth"
 
 
 class TfBroadcaster:
-    """Publishes /tf while `tf.publish` is set: `<node>/<gripper>`, and `<node>/cloth` at the centre of mass.
+    """Publishes /tf while `tf.publish` is set.
+
+    The frames are `<node>/<gripper>`, `<node>/cloth` at the centre of mass, and `<node>/<camera>_optical_frame`.
 
     Args:
         node: the node.
@@ -63,17 +66,19 @@ class TfBroadcaster:
         except ParameterError as error:
             self._node.get_logger().error(f"no frames are sent: {error}")
 
-    def _transforms(self) -> list[tuple[str, list[float]]]:
+    def _transforms(self) -> list[tuple[str, Sequence[float]]]:
         simulation = self._simulation
         masses = simulation.model.masses
         centre = (simulation.state.x * masses).sum(axis=1) / simulation.model.mass
-        frames = [(f"{self._prefix}/{CLOTH_FRAME}", [*centre.tolist(), 0.0, 0.0, 0.0, 1.0])]
+        frames: list[tuple[str, Sequence[float]]] = [
+            (f"{self._prefix}/{CLOTH_FRAME}", [*centre.tolist(), 0.0, 0.0, 0.0, 1.0])
+        ]
         poses = simulation.grippers.poses().tolist()
         for index, name in enumerate(simulation.grippers.names):
             # A gripper without a target has no pose.
             if simulation.grippers.is_placed(index):
                 frames.append((f"{self._prefix}/{name}", poses[index]))
-        return frames
+        return [*frames, *optical_frames(self._prefix, simulation.scene.views)]
 
 
 def transforms_bytes(frames: Iterable[tuple[str, Sequence[float]]], *, frame_id: str, stamp: int) -> bytes:

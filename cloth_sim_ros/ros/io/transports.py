@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +57,24 @@ def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
     Yields:
         A warning if the shared memory is too small and UDP is used instead; otherwise an empty text.
     """
+    with _segment(lambda: sum(segment_bytes(values) for values in cloths)) as warning:
+        yield warning
+
+
+@contextlib.contextmanager
+def large_segment(message_bytes: int, rate: float) -> Iterator[str]:
+    """Set up a shared-memory segment for large messages of a total size, sent at a rate [Hz].
+
+    Otherwise as `cloud_transports`.
+    """
+    with _segment(lambda: _segment_size(message_bytes, rate)) as warning:
+        yield warning
+
+
+@contextlib.contextmanager
+def _segment(requested: Callable[[], int]) -> Iterator[str]:
     with contextlib.ExitStack() as stack:
-        yield _enter(stack, sum(segment_bytes(values) for values in cloths)) if not _has_users_transports() else ""
+        yield _enter(stack, requested()) if not _has_users_transports() else ""
 
 
 def segment_bytes(parameters: Mapping[str, Any]) -> int:
@@ -68,8 +84,12 @@ def segment_bytes(parameters: Mapping[str, Any]) -> int:
         parameters: by full name; missing and invalid ones have their defaults.
     """
     cloud, mesh, rate = _output_bytes(parameters)
-    unread = min(_LEASE_TIME * rate * (cloud + mesh), _QUEUE_LENGTH * _LARGEST_BUFFER)
-    size = int(unread) + 2 * (cloud + mesh) + _SMALL_MESSAGES
+    return _segment_size(cloud + mesh, rate)
+
+
+def _segment_size(message_bytes: int, rate: float) -> int:
+    unread = min(_LEASE_TIME * rate * message_bytes, _QUEUE_LENGTH * _LARGEST_BUFFER)
+    size = int(unread) + 2 * message_bytes + _SMALL_MESSAGES
     return min(max(size, _MIN_SEGMENT), _MAX_SEGMENT)
 
 

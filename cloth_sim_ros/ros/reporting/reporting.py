@@ -57,7 +57,8 @@ class Reporting:
         self._gripper_speed = GripperSpeedMonitor(simulation, log)
         #: Integrator, reason and step limit of the last frame that was logged at DEBUG.
         self._choice: tuple[str, str, str] | None = None
-        sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles)
+        cameras = () if outputs.cameras is None else (outputs.cameras,)
+        sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles, *cameras)
         self.collector = DiagnosticsCollector(
             node, simulation, failure, timing, inputs.commands, outputs.cloth, recording, sources
         )
@@ -99,8 +100,9 @@ class Reporting:
             self._failure.attempt("diagnostics are not published", self.diagnostics.send)
 
     def report_changes(self) -> None:
-        """Start or end the accuracy monitor by its parameter, and log the expected speed if parameters changed."""
+        """Start or end the accuracy monitor by its parameter; log reports of cameras, and the speed after a change."""
         self.accuracy.update()
+        self._outputs.report_cameras()
         if self._parameters_changed:
             self._parameters_changed = False
             self.performance.report()

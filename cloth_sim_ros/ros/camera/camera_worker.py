@@ -1,0 +1,256 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Camera process: renders and publishes what the depth cameras of a node see.
+
+Usage: `python -m cloth_sim_ros.ros.camera.camera_worker PARENT`. Reads pickled objects from standard input: a
+`CameraSetup`, then a `CameraFrame` at a time. Ends with its input, or when the process PARENT ends.
+
+Answers are lines of JSON with one of these keys:
+
+- `subscribed`: names of the cameras with subscribers, whenever they change.
+- `warning`, `found`: a text for the log, with the name of the camera.
+- `done`: number of cameras that were sent, after the set-up and after each frame.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pickle
+import select
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import String
+
+from cloth_sim_ros.camera.depth_camera import DepthCamera
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup
+from cloth_sim_ros.ros.camera.image_messages import CameraInfoMessage, ImageMessage, PointsMessage, millimetres
+from cloth_sim_ros.ros.io.qos_rules import CAMERA_INFO, DEPTH, LABEL_NAMES, LABELS, POINTS
+from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.io.transports import large_segment
+from cloth_sim_ros.scene.camera_section import MILLIMETRES
+
+#: Niceness, so that the simulation has priority.
+_NICENESS = 10
+#: Period at which subscribers and the parent process are polled [s].
+_POLL_PERIOD = 0.1
+#: Period of the warnings of a camera without a pose [ns].
+_WARNING_PERIOD = 60_000_000_000
+_TYPES = {DEPTH: Image, CAMERA_INFO: CameraInfo, LABELS: Image, LABEL_NAMES: String, POINTS: PointCloud2}
+
+Answer = Callable[[dict[str, Any]], None]
+Bodies = Sequence[tuple[Obstacle, Any, int]]
+
+
+class CameraOutput:
+    """Publishers of one camera.
+
+    Args:
+        node: the node of this process.
+        name: the camera.
+        setup: set-up of the process.
+        transformer: looks up TF frames.
+        answer: sends warnings to the parent process.
+    """
+
+    def __init__(
+        self, node: Node, name: str, setup: CameraSetup, transformer: FrameTransformer, answer: Answer
+    ) -> None:
+        self.name, self._answer, self._transformer = name, answer, transformer
+        self._parameters, topics = setup.cameras[name], setup.topics[name]
+        self._camera = DepthCamera(name, self._parameters, setup.triangles)
+        frame_id, width, height = topics.frame_id, self._parameters.width, self._parameters.height
+        size: dict[str, Any] = {"frame_id": frame_id, "width": width, "height": height}
+        self._info = CameraInfoMessage(**size, intrinsics=self._camera.intrinsics)
+        self._depth = ImageMessage(**size, encoding=self._parameters.encoding)
+        self._label = ImageMessage(**size, encoding=MILLIMETRES)
+        self._cloud = PointsMessage(**size)
+        self._publishers = {
+            leaf: node.create_publisher(
+                kind,
+                topics.names[leaf],
+                _profile(topics.profiles[leaf]),
+                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+            )
+            for leaf, kind in _TYPES.items()
+        }
+        self._labels: dict[str, int] = {}
+        #: Stamp of the last warning that the pose is missing [ns]; None while it is known.
+        self._last_warning: int | None = None
+
+    @property
+    def is_subscribed(self) -> bool:
+        """True if an image, the camera info or the points have subscribers."""
+        return any(self._has_subscribers(leaf) for leaf in _TYPES if leaf != LABEL_NAMES)
+
+    def update_labels(self, labels: dict[str, int]) -> None:
+        """Publish the names of labels if they changed. The topic is latched."""
+        if labels != self._labels:
+            self._labels = labels
+            names = {str(label): name for name, label in labels.items()}
+            self._publishers[LABEL_NAMES].publish(String(data=json.dumps(names)))
+
+    def send(self, frame: CameraFrame, bodies: Bodies) -> None:
+        """Render a frame and publish the messages that have subscribers."""
+        pose = self._pose(frame)
+        if pose is None:
+            return
+        self._publish(CAMERA_INFO, lambda: self._info.serialized(frame.stamp))
+        if not any(self._has_subscribers(leaf) for leaf in (DEPTH, LABELS, POINTS)):
+            return
+        depths, labels = self._camera.view(pose, frame.x, bodies, frame=frame.index)
+        in_millimetres = self._parameters.encoding == MILLIMETRES
+        self._publish(
+            DEPTH, lambda: self._depth.serialized(millimetres(depths) if in_millimetres else depths, frame.stamp)
+        )
+        self._publish(LABELS, lambda: self._label.serialized(labels, frame.stamp))
+        self._publish(POINTS, lambda: self._cloud.serialized(self._camera.points(depths), frame.stamp))
+
+    def listen(self) -> None:
+        """Subscribe to TF if the camera follows a frame; a first image then finds its transform."""
+        if self._parameters.frame:
+            with contextlib.suppress(FrameError):
+                self._transformer.newest(self._parameters.frame)
+
+    def _pose(self, frame: CameraFrame) -> tuple[float, ...] | None:
+        """Return the camera's position [m] and orientation in the cloth's frame; None if TF does not know it."""
+        followed = self._parameters.frame
+        if not followed:
+            return frame.poses[self.name]
+        try:
+            position, orientation = self._transformer.to_cloth(
+                followed, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), frame.stamp
+            )
+        except FrameError as error:
+            last = self._last_warning
+            # The clock may have been set back since.
+            if last is None or not 0 <= frame.stamp - last < _WARNING_PERIOD:
+                self._last_warning = frame.stamp
+                text = f"camera '{self.name}' sends no images: {error}"
+                self._answer({"warning": text, "camera": self.name})
+            return None
+        if self._last_warning is not None:
+            self._last_warning = None
+            self._answer({"found": f"camera '{self.name}' follows frame '{followed}'", "camera": self.name})
+        assert orientation is not None
+        return (*position, *orientation)
+
+    def _has_subscribers(self, leaf: str) -> bool:
+        return bool(self._publishers[leaf].get_subscription_count())
+
+    def _publish(self, leaf: str, serialize: Callable[[], bytes]) -> None:
+        """Publish a message if its topic has subscribers."""
+        if self._has_subscribers(leaf):
+            self._publishers[leaf].publish(serialize())
+
+
+class CameraWorker:
+    """The cameras of one node.
+
+    Args:
+        setup: set-up of the process.
+        answer: sends an answer to the parent process.
+    """
+
+    def __init__(self, setup: CameraSetup, answer: Answer) -> None:
+        self._answer = answer
+        image_bytes = sum(camera.width * camera.height * (4 + 2 + 12) for camera in setup.cameras.values())
+        rate = max(camera.rate for camera in setup.cameras.values())
+        with large_segment(image_bytes, rate) as warning:
+            rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+            self._node = Node(
+                f"{setup.node}_cameras",
+                namespace=setup.namespace,
+                use_global_arguments=False,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+        if warning:
+            answer({"warning": warning, "camera": ""})
+        transformer = FrameTransformer(self._node, setup.frame_id)
+        self._cameras = [CameraOutput(self._node, name, setup, transformer, answer) for name in setup.cameras]
+        for camera in self._cameras:
+            camera.listen()
+        self._executor = SingleThreadedExecutor()
+        if any(camera.frame for camera in setup.cameras.values()):
+            self._executor.add_node(self._node)
+            threading.Thread(target=self._executor.spin, name="tf", daemon=True).start()
+        self._subscribed: list[str] = []
+        self._bodies: tuple[Obstacle, ...] = ()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown(timeout_sec=_POLL_PERIOD)
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def report_subscribed(self) -> None:
+        """Answer with the cameras that have subscribers, if they changed."""
+        subscribed = [camera.name for camera in self._cameras if camera.is_subscribed]
+        if subscribed != self._subscribed:
+            self._subscribed = subscribed
+            self._answer({"subscribed": subscribed})
+
+    def send(self, frame: CameraFrame) -> None:
+        """Render and publish a frame of the cameras that are due."""
+        start_time = time.perf_counter()
+        if frame.bodies is not None:
+            self._bodies = frame.bodies
+        bodies = [
+            (body, pose, frame.labels[body.name]) for body, pose in zip(self._bodies, frame.body_poses, strict=True)
+        ]
+        sent = [camera for camera in self._cameras if camera.name in frame.cameras]
+        for camera in self._cameras:
+            camera.update_labels(frame.labels)
+        for camera in sent:
+            camera.send(frame, bodies)
+        self._answer({"done": len(sent), "seconds": time.perf_counter() - start_time})
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Render frames until the input ends; return the exit status."""
+    os.nice(_NICENESS)
+    parent, stream = int(arguments[0]), sys.stdin.buffer
+
+    def answer(values: dict[str, Any]) -> None:
+        print(json.dumps(values), flush=True)
+
+    # The node may end, or be killed while it sends a frame.
+    with contextlib.suppress(EOFError, pickle.UnpicklingError, BrokenPipeError), contextlib.ExitStack() as stack:
+        worker = CameraWorker(pickle.load(stream), answer)
+        stack.callback(worker.close)
+        answer({"done": 0})
+        while os.getppid() == parent:
+            worker.report_subscribed()
+            # The parent sends a frame after the previous one was done: nothing else is in the stream's buffer.
+            if select.select([stream], [], [], _POLL_PERIOD)[0]:
+                worker.send(pickle.load(stream))
+    return 0
+
+
+def _profile(policies: dict[str, Any]) -> QoSProfile:
+    return QoSProfile(
+        reliability=ReliabilityPolicy(policies["reliability"]),
+        history=HistoryPolicy(policies["history"]),
+        durability=DurabilityPolicy(policies["durability"]),
+        depth=policies["depth"],
+    )
+
+
+if __name__ == "__main__":
+    status = main(sys.argv[1:])
+    # Without the wait for threads, and for a pipe that nobody reads any more.
+    os._exit(status)

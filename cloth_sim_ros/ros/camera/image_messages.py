@@ -1,0 +1,99 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Serialized messages of a depth camera. Only stamp and data change, so the rest is serialized once."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+
+from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
+
+#: Bytes of the number of data, and of is_dense behind it.
+_COUNT, _IS_DENSE = 4, 1
+#: Largest depth of 16UC1 [mm].
+_MAX_MILLIMETRES = 65535
+
+
+class ImageMessage:
+    """A sensor_msgs/Image of one channel."""
+
+    def __init__(self, *, frame_id: str, width: int, height: int, encoding: str) -> None:
+        step = width * (4 if encoding == "32FC1" else 2)
+        message = Image(width=width, height=height, encoding=encoding, step=step)
+        message.is_bigendian = int(sys.byteorder == "big")
+        message.header.frame_id = frame_id
+        self._start = _after_stamp(message)[:-_COUNT]
+
+    def serialized(self, pixels: NDArray[Any], stamp: int) -> bytes:
+        """Return the CDR bytes for pixels (height, width) at a ROS time [ns]."""
+        return _joined(stamp, self._start, pixels, bytes(-pixels.nbytes % 4))
+
+
+class PointsMessage:
+    """A sensor_msgs/PointCloud2 with a point for each pixel, NaN without one."""
+
+    def __init__(self, *, frame_id: str, width: int, height: int) -> None:
+        message = PointCloud2(width=width, height=height, point_step=12, row_step=12 * width, is_dense=False)
+        message.is_bigendian = sys.byteorder == "big"
+        message.fields = [
+            PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+            for index, name in enumerate("xyz")
+        ]
+        message.header.frame_id = frame_id
+        self._start = _after_stamp(message)[: -_COUNT - _IS_DENSE]
+
+    def serialized(self, points: NDArray[np.float32], stamp: int) -> bytes:
+        """Return the CDR bytes for points (height, width, 3) [m] at a ROS time [ns]."""
+        return _joined(stamp, self._start, points, aligned(b"\0", 4))
+
+
+class CameraInfoMessage:
+    """A sensor_msgs/CameraInfo of a camera without distortion.
+
+    Args:
+        frame_id: optical frame.
+        width: columns.
+        height: rows.
+        intrinsics: fx, fy, cx, cy [pixels].
+    """
+
+    def __init__(
+        self, *, frame_id: str, width: int, height: int, intrinsics: tuple[float, float, float, float]
+    ) -> None:
+        fx, fy, cx, cy = intrinsics
+        message = CameraInfo(width=width, height=height, distortion_model="plumb_bob", d=[0.0] * 5)
+        message.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+        message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        message.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+        message.header.frame_id = frame_id
+        self._end = _after_stamp(message)
+
+    def serialized(self, stamp: int) -> bytes:
+        """Return the CDR bytes at a ROS time [ns]."""
+        return _head(stamp) + self._end
+
+
+def millimetres(depths: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Return depths [m] in millimetres, 0 without a depth or above 65.535 m."""
+    scaled = np.rint(depths * np.float32(1000.0))
+    return np.where(scaled <= _MAX_MILLIMETRES, scaled, np.float32(0.0)).astype(np.uint16)
+
+
+def _after_stamp(message: Any) -> bytes:
+    """Return the bytes of a message behind the stamp of its header, which comes first."""
+    return bytes(serialize_message(message))[len(CDR) + 8 :]
+
+
+def _head(stamp: int) -> bytes:
+    return CDR + struct.pack("<iI", *divmod(stamp, SECOND))
+
+
+def _joined(stamp: int, start: bytes, data: NDArray[Any], end: bytes) -> bytes:
+    return b"".join((_head(stamp), start, struct.pack("<I", data.nbytes), data.data, end))
