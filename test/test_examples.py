@@ -126,3 +126,21 @@ def test_grasp_node_lifts_the_corner_of_a_live_cloth(
     assert held > 0
     assert released == 0
     assert cloth.interrupt() == 0, cloth.output
+
+
+def test_pick_node_holds_the_towel_until_it_opens(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy")
+    from support.interface_packages import CONTROL_MSGS, build_package
+    from support.ros_client import start_cloth
+
+    folder, reason = build_package("control_msgs", CONTROL_MSGS)
+    if folder is None:
+        pytest.skip(reason)
+    environment, scene = {"PYTHONPATH": str(folder)}, str(ROOT / "config" / "pinch_action.yaml")
+    cloth = start_cloth(start_process, arguments=["--params-file", scene], env=environment)
+    robot = start_process([sys.executable, ROOT / "examples" / "pick_node.py"], cwd=tmp_path, env=environment)
+    assert robot.wait() == 0, robot.output
+    assert re.findall(r"stalled (\w+), reached (\w+)", robot.output) == [("True", "False"), ("False", "True")]
+    assert cloth.interrupt() == 0, cloth.output
