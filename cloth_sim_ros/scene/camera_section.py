@@ -13,6 +13,10 @@ from cloth_sim_ros.scene.parameters.declare import parameter
 ENCODINGS = METRES, MILLIMETRES = ("32FC1", "16UC1")
 #: Largest width and height of an image [pixels].
 MAX_PIXELS = 4096
+#: Least fx and fy [pixels]: that of one pixel with the largest field of view.
+MIN_FOCAL_LENGTH = 0.01
+#: Largest depth of 16UC1 [m].
+MAX_MILLIMETRES_DEPTH = 65.535
 
 
 @attrs.frozen(kw_only=True)
@@ -40,7 +44,7 @@ class CameraParameters:
         length=4,
         min=-1e6,
         max=1e6,
-        constraint="fx and fy above 0, or all 0",
+        constraint=f"fx and fy at least {MIN_FOCAL_LENGTH:g}, or all 0",
         observes=True,
     )
     rate: float = parameter(
@@ -56,7 +60,14 @@ class CameraParameters:
         "double", 0.1, "Least depth; nearer surfaces have none", unit="m", min=0.001, max=1e4, observes=True
     )
     max_depth: float = parameter(
-        "double", 10.0, "Largest depth; farther surfaces have none", unit="m", min=0.001, max=1e4, observes=True
+        "double",
+        10.0,
+        "Largest depth; farther surfaces have none",
+        unit="m",
+        min=0.001,
+        max=1e4,
+        constraint=f"at most {MAX_MILLIMETRES_DEPTH} for 16UC1",
+        observes=True,
     )
     position: tuple[float, ...] = parameter(
         "double[]",
