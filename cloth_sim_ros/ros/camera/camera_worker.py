@@ -3,7 +3,8 @@
 """Camera process: renders and publishes what the depth cameras of a node see.
 
 Usage: `python -m cloth_sim_ros.ros.camera.camera_worker PARENT`. Reads pickled objects from standard input: a
-`CameraSetup`, then a `CameraFrame` at a time. Ends with its input, or when the process PARENT ends.
+`CameraSetup`, then a `CameraFrame` at a time. Ends with its input, by SIGTERM, or when the process PARENT ends. It then
+leaves the ROS graph in order: Fast DDS may crash a subscriber of a process that is killed while it sends.
 
 Answers are lines of JSON with one of these keys:
 
@@ -19,6 +20,7 @@ import json
 import os
 import pickle
 import select
+import signal
 import sys
 import threading
 import time
@@ -93,8 +95,8 @@ class CameraOutput:
 
     @property
     def is_subscribed(self) -> bool:
-        """True if an image, the camera info or the points have subscribers."""
-        return any(self._has_subscribers(leaf) for leaf in _TYPES if leaf != LABEL_NAMES)
+        """True if a topic has subscribers."""
+        return any(map(self._has_subscribers, _TYPES))
 
     def update_labels(self, labels: dict[str, int]) -> None:
         """Publish the names of labels if they changed. The topic is latched."""
@@ -185,15 +187,19 @@ class CameraWorker:
         for camera in self._cameras:
             camera.listen()
         self._executor = SingleThreadedExecutor()
+        self._tf_thread = threading.Thread(target=self._executor.spin, name="tf", daemon=True)
         if any(camera.frame for camera in setup.cameras.values()):
             self._executor.add_node(self._node)
-            threading.Thread(target=self._executor.spin, name="tf", daemon=True).start()
+            self._tf_thread.start()
         self._subscribed: list[str] = []
         self._bodies: tuple[Obstacle, ...] = ()
 
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown(timeout_sec=_POLL_PERIOD)
+        # rclpy may crash if a node is destroyed while a thread waits for its subscriptions.
+        if self._tf_thread.is_alive():
+            self._tf_thread.join(_POLL_PERIOD)
         self._node.destroy_node()
         rclpy.try_shutdown()
 
@@ -224,12 +230,19 @@ def main(arguments: Sequence[str]) -> int:
     """Render frames until the input ends; return the exit status."""
     os.nice(_NICENESS)
     parent, stream = int(arguments[0]), sys.stdin.buffer
+    # A supervisor may send signals to the node and its processes at once. The node then closes the input.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    # ROS logs go to the standard output if RCUTILS_LOGGING_USE_STDOUT is set.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
 
     def answer(values: dict[str, Any]) -> None:
-        print(json.dumps(values), flush=True)
+        print(json.dumps(values), file=answers, flush=True)
 
     # The node may end, or be killed while it sends a frame.
-    with contextlib.suppress(EOFError, pickle.UnpicklingError, BrokenPipeError), contextlib.ExitStack() as stack:
+    ends = EOFError, pickle.UnpicklingError, BrokenPipeError, SystemExit
+    with contextlib.suppress(*ends), contextlib.ExitStack() as stack:
         worker = CameraWorker(pickle.load(stream), answer)
         stack.callback(worker.close)
         answer({"done": 0})
