@@ -194,6 +194,44 @@ def test_rate_is_counted_in_frames(client: Client) -> None:
     assert np.all(np.abs(images - np.rint(images)) < 1e-3) and images.min() > 0.5, images
 
 
+class BusyProcess:
+    """Keeps the newest job, as a process that is not done."""
+
+    def __init__(self) -> None:
+        self.job: CameraFrame | None = None
+
+    @property
+    def has_waiting_job(self) -> bool:
+        """True if there is a job."""
+        return self.job is not None
+
+    def put(self, job: CameraFrame) -> CameraFrame | None:
+        """Replace the job."""
+        replaced, self.job = self.job, job
+        return replaced
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def test_slow_camera_gets_an_image_beside_a_fast_one(client: Client) -> None:
+    with ClockedCloth(client, {**SCENE, "cameras": ["wrist", "top"], "top.rate": 6.0}) as cloth:
+        cameras = cloth.node.outputs.cameras
+        assert cameras is not None
+        cameras.close()
+        process = BusyProcess()
+        cameras._process = process  # type: ignore[assignment]  # private: a process that tests can hold up
+        cameras._subscribed = frozenset({"wrist", "top"})  # private: as if it answered so
+        cloth.tick(25)
+        assert process.job is not None and process.job.cameras == {"wrist", "top"}
+        cloth.tick()
+        assert process.job.cameras == {"wrist", "top"}, "an image that was skipped is rendered later"
+        process.job = None
+        cloth.tick()
+        assert process.job.cameras == {"wrist"}
+        assert int(cameras.describe()["camera_images_skipped"]) > 25
+
+
 def test_camera_moves_by_its_parameters(client: Client) -> None:
     with ClockedCloth(client, SCENE) as cloth:
         watcher = Watcher(client, "depth/image_rect_raw")
