@@ -12,7 +12,9 @@ from cloth_sim_ros.scene.parameters.declare import parameter
 #: Encodings of depth images (REP 118).
 ENCODINGS = METRES, MILLIMETRES = ("32FC1", "16UC1")
 #: Largest width and height of an image [pixels].
-MAX_PIXELS = 4096
+MAX_WIDTH = 4096
+#: Largest number of pixels of an image: its points fit into the 64 MiB of shared memory that the middleware gets.
+MAX_PIXELS = 5_500_000
 #: Least fx and fy [pixels]: that of one pixel with the largest field of view.
 MIN_FOCAL_LENGTH = 0.01
 #: Largest depth of 16UC1 [m].
@@ -26,8 +28,8 @@ class CameraParameters:
     Its optical frame has x right, y down and z forward (REP 103).
     """
 
-    width: int = parameter("int", 640, "Columns of its images", min=1, max=MAX_PIXELS, observes=True)
-    height: int = parameter("int", 480, "Rows of its images", min=1, max=MAX_PIXELS, observes=True)
+    width: int = parameter("int", 640, "Columns of its images", min=1, max=MAX_WIDTH, observes=True)
+    height: int = parameter("int", 480, "Rows of its images", min=1, max=MAX_WIDTH, observes=True)
     fov: float = parameter(
         "double",
         1.2,

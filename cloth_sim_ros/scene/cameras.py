@@ -10,6 +10,7 @@ from typing import Any
 from cloth_sim_ros.physics.plan.gripper_path import normalized
 from cloth_sim_ros.scene.camera_section import (
     MAX_MILLIMETRES_DEPTH,
+    MAX_PIXELS,
     METRES,
     MILLIMETRES,
     MIN_FOCAL_LENGTH,
@@ -89,6 +90,10 @@ def _article(kind: str) -> str:
 
 
 def _faults(name: str, camera: CameraParameters) -> Iterator[str]:
+    if camera.width * camera.height > MAX_PIXELS:
+        yield (
+            f"{name}.width x {name}.height is {camera.width * camera.height} pixels; an image has at most {MAX_PIXELS}"
+        )
     fx, fy, _, _ = camera.intrinsics
     if any(camera.intrinsics) and not min(fx, fy) >= MIN_FOCAL_LENGTH:
         yield (

@@ -27,7 +27,7 @@ from support.ros_client import Client
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup, CameraTopics
 from cloth_sim_ros.ros.camera.camera_worker import CameraOutput
-from cloth_sim_ros.ros.io.tf_frames import FrameError
+from cloth_sim_ros.ros.io.tf_frames import MAX_TRANSFORM_AGE, FrameError
 from cloth_sim_ros.ros.process.worker_process import WorkerProcess
 from cloth_sim_ros.scene.camera_section import CameraParameters
 from cloth_sim_ros.scene.parameters.declare import ParameterError
@@ -303,10 +303,16 @@ class StubTransformer:
 
     def __init__(self) -> None:
         self.pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+        #: Number of calls before the transform comes, and of calls for which an older one was enough.
+        self.n_missing = self.n_older = 0
 
-    def to_cloth(self, frame: str, *_: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def to_cloth(
+        self, frame: str, *_: Any, max_age: int = MAX_TRANSFORM_AGE
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the pose, or refuse."""
-        if self.pose is None:
+        self.n_missing -= 1
+        self.n_older += max_age > 0
+        if self.pose is None or (self.n_missing >= 0 and not max_age):
             raise FrameError(f"no transform from '{frame}'")
         return self.pose
 
@@ -352,6 +358,12 @@ def test_camera_follows_its_frame_when_it_is_known(client: Client) -> None:
     assert (images[0].header.frame_id, images[0].header.stamp.sec) == ("hand", 1)
     assert np.abs(pixels(images[0]) - 3.0).max() < 1e-6
     assert answers[1:] == [{"found": "camera 'arm' follows frame 'hand'", "camera": "arm"}]
+    frames.n_missing, frames.n_older = 3, 0
+    output.send(frame, bodies)
+    assert frames.n_missing < 0 and not frames.n_older, "it waits for the transform of the frame's time"
+    frames.n_missing = 10**9
+    output.send(frame, bodies)
+    assert frames.n_older == 1
     frames.pose = None
     output.send(frame, bodies)
     assert len(answers) == 3, "a frame that is lost again is reported"

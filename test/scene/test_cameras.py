@@ -30,6 +30,10 @@ def test_cameras_are_described_by_their_names() -> None:
     [
         ({**WRIST, "wrist.width": 0}, "wrist.width is 0; it must be at least 1"),
         ({**WRIST, "wrist.height": 5000}, "wrist.height is 5000; it must be at most 4096"),
+        (
+            {**WRIST, "wrist.width": 4096, "wrist.height": 4096},
+            "wrist.width x wrist.height is 16777216 pixels; an image has at most 5500000",
+        ),
         ({"cameras": ["wrist", "wrist"]}, "two cameras are named 'wrist'; give each its own name"),
         ({**WRIST, "grippers": ["wrist"]}, "'wrist' names a camera and a gripper; give the camera another name"),
         (

@@ -25,6 +25,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -41,7 +42,7 @@ from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup
 from cloth_sim_ros.ros.camera.image_messages import CameraInfoMessage, ImageMessage, PointsMessage, millimetres
 from cloth_sim_ros.ros.io.qos_rules import CAMERA_INFO, DEPTH, LABEL_NAMES, LABELS, POINTS
-from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer, Pose
 from cloth_sim_ros.ros.io.transports import large_segment
 from cloth_sim_ros.scene.camera_section import MILLIMETRES
 
@@ -49,6 +50,8 @@ from cloth_sim_ros.scene.camera_section import MILLIMETRES
 _NICENESS = 10
 #: Period at which subscribers and the parent process are polled [s].
 _POLL_PERIOD = 0.1
+#: Longest wait for the transform of a frame, which comes later than the frame, and period of its polls [s].
+_TRANSFORM_TIMEOUT, _TRANSFORM_POLL_PERIOD = 0.1, 0.002
 #: Period of the warnings of a camera without a pose [ns].
 _WARNING_PERIOD = 60_000_000_000
 _TYPES = {DEPTH: Image, CAMERA_INFO: CameraInfo, LABELS: Image, LABEL_NAMES: String, POINTS: PointCloud2}
@@ -133,9 +136,7 @@ class CameraOutput:
         if not followed:
             return frame.poses[self.name]
         try:
-            position, orientation = self._transformer.to_cloth(
-                followed, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), frame.stamp
-            )
+            position, orientation = self._followed_pose(followed, frame.stamp)
         except FrameError as error:
             last = self._last_warning
             # The clock may have been set back since.
@@ -149,6 +150,21 @@ class CameraOutput:
             self._answer({"found": f"camera '{self.name}' follows frame '{followed}'", "camera": self.name})
         assert orientation is not None
         return (*position, *orientation)
+
+    def _followed_pose(self, followed: str, stamp: int) -> Pose:
+        """Return position [m] and orientation of a TF frame at a ROS time [ns], by waiting for its transform.
+
+        Raises:
+            FrameError: if no transform of that time connects the frames, and none at most 0.1 s older.
+        """
+        lookup = partial(self._transformer.to_cloth, followed, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), stamp)
+        end = time.monotonic() + _TRANSFORM_TIMEOUT
+        # Nothing waits for a frame that is lost.
+        while self._last_warning is None and time.monotonic() < end:
+            with contextlib.suppress(FrameError):
+                return lookup(max_age=0)
+            time.sleep(_TRANSFORM_POLL_PERIOD)
+        return lookup()
 
     def _has_subscribers(self, leaf: str) -> bool:
         return bool(self._publishers[leaf].get_subscription_count())
