@@ -257,8 +257,8 @@ def main(arguments: Sequence[str]) -> int:
         print(json.dumps(values), file=answers, flush=True)
 
     # The node may end, or be killed while it sends a frame.
-    ends = EOFError, pickle.UnpicklingError, BrokenPipeError, SystemExit
-    with contextlib.suppress(*ends), contextlib.ExitStack() as stack:
+    reasons = EOFError, pickle.UnpicklingError, BrokenPipeError, SystemExit
+    with contextlib.suppress(*reasons), contextlib.ExitStack() as stack:
         worker = CameraWorker(pickle.load(stream), answer)
         stack.callback(worker.close)
         answer({"done": 0})
