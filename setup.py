@@ -115,6 +115,8 @@ EXTRAS = {
         "hypothesis>=6.98",
         "psutil>=5.9",
         'ipctk>=1.4; platform_machine == "x86_64"',
+        # The other simulator of examples/mujoco_arm.py.
+        "mujoco>=3.3",
     ],
 }
 # What `make run` installs, and what `make test`, `make check` and `make docs` install.

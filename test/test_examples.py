@@ -186,3 +186,25 @@ def test_twist_node_leads_the_corner_of_a_live_cloth(
     heights = [event["position"][2] for event in events if event["kind"] == "target"]
     # It rises by 0.25 m/s for 1.5 s, and then goes sideways.
     assert max(heights) - heights[0] == pytest.approx(0.375, abs=0.08)
+
+
+def test_mujoco_arm_lifts_and_pushes_a_towel(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("mujoco")
+    from support.ros_client import start_cloth
+
+    assert (ROOT / "examples" / "mujoco_arm.xml").exists()
+    scene = ["--params-file", ROOT / "config" / "mujoco_towel.yaml"]
+    cloth = start_cloth(start_process, arguments=scene, wait="Hz of /clock")
+    arm = start_process([sys.executable, ROOT / "examples" / "mujoco_arm.py"], cwd=tmp_path)
+    assert arm.wait() == 0, arm.output
+    wrist = dict(zip(("lifts", "holds", "turns", "pushes"), numbers(r"wrist (\S+) N", arm.output), strict=True))
+    forearm = numbers(r"forearm (\S+) N", arm.output)
+    weight = 0.2 * 0.4 * 0.4 * 9.81
+    assert wrist["holds"] == pytest.approx(weight, rel=0.02)
+    assert forearm[:2] == [0.0, 0.0]
+    assert forearm[3] > 1e-3
+    assert wrist["pushes"] == pytest.approx(weight, rel=0.1)
+    assert cloth.interrupt() == 0, cloth.output

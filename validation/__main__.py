@@ -20,6 +20,10 @@ COMMANDS = {
     "conditioning": ("validation.tolerance.conditioning", "amplification of a perturbation of a nanometre, by scene"),
     "constants": ("validation.tolerance.constants", "effect of halving and doubling each constant of step control"),
     "stability": ("validation.stability.scan", "thousands of stress cases; measured and predicted step limits"),
+    "coupling": (
+        "validation.stability.coupling",
+        "delays of forces with which a wrist in another simulator stays stable",
+    ),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
 }
 
