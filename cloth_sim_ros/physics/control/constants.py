@@ -74,6 +74,10 @@ class Constants:
         1e3, "least displacement of the fastest particle in a frame, in changes by single precision"
     )
 
+    single_precision_min_particles: float = _constant(
+        64.0, "number of particles from which steps are faster in single precision"
+    )
+
     # Energy.
     max_energy_gain: float = _constant(
         2e-3, "fraction of the moved energy that steps, or single precision in a second, may add"

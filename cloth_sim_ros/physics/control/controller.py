@@ -501,10 +501,9 @@ class Controller:
     def _append_estimate(self, tableau: ExtrapolationTableau, chosen: int) -> None:
         """Append the error estimate of the next combination [m]; about it, if another combination is chosen."""
         n_runs = len(self._estimate.errors) + 1
-        is_required = self._is_rough or chosen <= n_runs <= self._count_estimates(tableau.counts)
         # A wrong approximation costs a run.
         is_cheap = n_runs > chosen and tableau.counts[n_runs] > DISPLACEMENT_EVALUATIONS
-        is_accurate = is_required or is_cheap
+        is_accurate = self._is_rough or n_runs == chosen or is_cheap
         error = self._measure_difference(tableau, n_runs, is_accurate=is_accurate)
         self._estimate.append(error, is_approximate=not is_accurate)
 

@@ -72,7 +72,7 @@ class PrecisionRule:
         Returns:
             Force evaluations of the measurement.
         """
-        if n_runs > 1:
+        if n_runs > 1 or self._plan.model.particle_count < CONSTANTS.single_precision_min_particles:
             return 0
         memory, noise, plan, speed = self.memory, self.noise, self._plan, largest_component(state.v)
         # Sheets at rest use no single precision, and rounding changes all their springs alike.
