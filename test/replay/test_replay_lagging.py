@@ -70,7 +70,7 @@ def attach_events(scene: Scene) -> list[list[Event]]:
 
 def pinch_events(_scene: Scene) -> list[list[Event]]:
     """Pads that move down into the table until they are stopped, rise by 0.5 m and are reset."""
-    down: list[list[Event]] = [[Target("hand", (0.0, 0.0, 0.1 - 0.03 * k))] for k in range(8)]
+    down: list[list[Event]] = [[Target("hand", (0.0, 0.0, 0.1 - 0.03 * k))] for k in range(4)]
     return [*down, [], [], [Target("hand", (0.0, 0.0, 0.6))], *[[] for _ in range(4)], [Reset()], []]
 
 
