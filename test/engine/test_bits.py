@@ -98,7 +98,8 @@ def test_trace_describes_every_engine_function() -> None:
     # private: the declared calls
     from cloth_sim_ros.engine.binding import _SIGNATURES
 
-    omitted = {"cloth_plan_callback"}  # it calls Python, which an emulator hasn't
+    # An emulator has no Python for the first; no frame calls the others.
+    omitted = {"cloth_plan_callback", "cloth_draw_triangles", "cloth_draw_solid"}
     assert _SIGNATURES.keys() - bits_trace.CALLS.keys() == omitted
     for name, (_, *arguments) in _SIGNATURES.items():
         if name not in omitted:
