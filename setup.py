@@ -174,6 +174,7 @@ setup(
         "console_scripts": [
             "cloth_sim = cloth_sim_ros.ros.main:main",
             "cloth_gripper = cloth_sim_ros.ros.gripper_main:main",
+            "cloth_viewer = cloth_sim_ros.ros.viewer_main:main",
             "cloth_replay = cloth_sim_ros.replay.command:main",
             "cloth_verify = cloth_sim_ros.verify.command:main",
             "cloth_batch = cloth_sim_ros.studies.command:main",

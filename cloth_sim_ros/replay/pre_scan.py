@@ -28,7 +28,7 @@ _CLIPPED_FRACTION = 0.002
 #: Margin around the cloth's bounding box in which grippers stay in view, as a fraction of its diagonal.
 _MARGIN = 0.08
 #: Colour range (strain) of an unstretched cloth, and of a session that is being recorded.
-_MIN_LIMIT, _FOLLOWED_LIMIT = 0.001, 0.05
+_MIN_LIMIT, FOLLOWED_LIMIT = 0.001, 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +110,7 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
         low=low,
         high=high,
         gripper_targets=gripper_targets,
-        strain_limit=strain_limit or (_FOLLOWED_LIMIT if is_followed else round_up(max(typical_strain, _MIN_LIMIT))),
+        strain_limit=strain_limit or (FOLLOWED_LIMIT if is_followed else round_up(max(typical_strain, _MIN_LIMIT))),
         plots=tuple(path for path in PLOTS if path in always | sample.plots or (is_followed and path != "plots/error")),
     )
 

@@ -67,12 +67,15 @@ def open_viewer(
     accuracy: bool = False,
 ) -> None:
     """Show a session in a viewer's window. Raises SessionError, or ViewerError without a screen."""
-    check_screen()
+    check_screen(
+        "use --screenshot out.png for a picture, or --save out.rrd and open that with `rerun` on a machine with a "
+        "screen; or a virtual screen: apt-get install xvfb xauth, then xvfb-run cloth_replay"
+    )
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         scan = _scan(reader, strain_limit, follow)
         scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
         recording = _recording(reader)
-        recording.connect_grpc(open_window(), default_blueprint=make_blueprint(scan, following=follow))
+        recording.connect_grpc(open_window().address, default_blueprint=make_blueprint(scan, following=follow))
         _play(reader, ReplayStream(recording, scan, node=reader.node, every=every, accuracy=measured), follow)
         recording.disconnect()
         _print_missing(reader)

@@ -116,6 +116,11 @@ class ReplayStream:
         """Simulated time of the newest message [s]."""
         return self._moment.sim_time
 
+    @property
+    def ros_time(self) -> int:
+        """ROS time of the newest frame [ns]."""
+        return self._moment.ros_time
+
     def add(self, message: Message) -> None:
         """Show a message.
 
@@ -124,7 +129,7 @@ class ReplayStream:
         """
         topic = message.topic
         if topic == self._frame:
-            self._add_frame(message)
+            self.add_record(read_frame(message), message.log_time)
         elif topic == self._points:
             self._add_cloud(message)
         elif topic == self._obstacles:
@@ -142,6 +147,31 @@ class ReplayStream:
             # Entries below a warning repeat the events.
             if entry.level in _LEVELS:
                 self._log_text(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS[entry.level])
+
+    def add_record(self, record: FrameRecord, ros_time: int) -> None:
+        """Show the record of a frame at a ROS time [ns].
+
+        Raises:
+            SessionError: if one of its events is invalid.
+        """
+        moment = self._moment = Moment(record.time, ros_time, record.frame)
+        self._log_events()
+        try:
+            counts = self._grippers.advance(record, lambda: self._positions_before(record))
+            self._recorded_frame = record.frame
+            self._update_anchors(record)
+        except (TypeError, ValueError, OverflowError) as error:
+            # A file may hold parameters of any type.
+            raise SessionError(f"the record of frame {record.frame} has an invalid event: {error}") from error
+        if "plots/steps" in self._scan.plots:
+            self._scalar("plots/steps/steps", moment, float(record.steps))
+        for path, value in extra_numbers(record.extras):
+            self._scalar(path, moment, value)
+        if self._accuracy is not None:
+            for path, value in self._accuracy.curves(record.frame):
+                self._scalar(path, moment, value)
+        self._events = [(moment, event, count) for event, count in zip(record.events, counts, strict=True)]
+        self._view.show(moment)
 
     def add_all(self, messages: Iterable[Message]) -> None:
         """Show all messages."""
@@ -175,26 +205,6 @@ class ReplayStream:
         self._view.start(recording, size)
         if self._accuracy is not None:
             draw_curves(recording)
-
-    def _add_frame(self, message: Message) -> None:
-        record = read_frame(message)
-        moment = self._moment = Moment(record.time, message.log_time, record.frame)
-        self._log_events()
-        try:
-            counts = self._grippers.advance(record, lambda: self._positions_before(record))
-            self._recorded_frame = record.frame
-            self._update_anchors(record)
-        except (TypeError, ValueError, OverflowError) as error:
-            # A file may hold parameters of any type.
-            raise SessionError(f"the record of frame {record.frame} has an invalid event: {error}") from error
-        self._scalar("plots/steps/steps", moment, float(record.steps))
-        for path, value in extra_numbers(record.extras):
-            self._scalar(path, moment, value)
-        if self._accuracy is not None:
-            for path, value in self._accuracy.curves(record.frame):
-                self._scalar(path, moment, value)
-        self._events = [(moment, event, count) for event, count in zip(record.events, counts, strict=True)]
-        self._view.show(moment)
 
     def _add_gripper_state(self, message: Message) -> None:
         """Correct the count of the newest grasp from the gripper's state, which the node sends after the frame."""

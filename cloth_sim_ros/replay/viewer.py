@@ -13,9 +13,10 @@ import subprocess
 import sys
 import tempfile
 import time
+import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from cloth_sim_ros.replay.rows import SIM_TIME
 
@@ -46,14 +47,18 @@ class ViewerError(Exception):
     """The viewer cannot be used on this machine; the message names the requirement."""
 
 
-def check_screen() -> None:
-    """Raise ViewerError if there is no screen for a window."""
+class Viewer(NamedTuple):
+    """A running viewer."""
+
+    process: subprocess.Popen[bytes]
+    address: str
+    """Address for recordings."""
+
+
+def check_screen(remedy: str) -> None:
+    """Raise ViewerError with a remedy if there is no screen for a window."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewerError(
-            "there is no screen (neither DISPLAY nor WAYLAND_DISPLAY is set); use --screenshot out.png for a "
-            "picture, or --save out.rrd and open that with `rerun` on a machine with a screen; or a virtual screen: "
-            "apt-get install xvfb xauth, then xvfb-run cloth_replay"
-        )
+        raise ViewerError(f"there is no screen (neither DISPLAY nor WAYLAND_DISPLAY is set); {remedy}")
 
 
 def executable() -> Path:
@@ -64,21 +69,38 @@ def executable() -> Path:
     return Path(spec.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
-def open_window() -> str:
-    """Open a viewer's window and return the address for recordings. The window outlives this process.
+def open_window(*options: str) -> Viewer:
+    """Open a viewer's window, with further options of its command line. The window outlives this process.
 
     The viewer listens on the local interface only; the SDK's `spawn` would listen on all interfaces.
 
     Raises:
         ViewerError: if it ends at once, or does not listen in time.
     """
+    return _start("--hide-welcome-screen", "--expect-data-soon", *options)
+
+
+def serve_page(port: int, *, memory: str) -> tuple[Viewer, str]:
+    """Serve the viewer as a page for browsers on this machine; return it with the page's address.
+
+    Args:
+        port: port of the page.
+        memory: frames that are kept for a page that is opened later, e.g. "2GB".
+
+    Raises:
+        ViewerError: if it ends at once, or does not listen in time.
+    """
+    viewer = _start("--serve-web", "--web-viewer-port", str(port), "--server-memory-limit", memory)
+    return viewer, f"http://127.0.0.1:{port}/?url={urllib.parse.quote(viewer.address, safe='')}"
+
+
+def _start(*options: str) -> Viewer:
     port = _free_port()
-    command = [str(executable()), "--hide-welcome-screen", "--expect-data-soon"]
     viewer = subprocess.Popen(
-        [*command, "--bind", "127.0.0.1", "--port", str(port)],
+        [str(executable()), *options, "--bind", "127.0.0.1", "--port", str(port)],
         stdin=subprocess.DEVNULL,
         # As part of another program, it does not ask about analytics.
-        env={**os.environ, "RERUN_APP_ONLY": "true"},
+        env={**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": os.environ.get("RUST_LOG", "warn")},
         start_new_session=True,
     )
     end = time.monotonic() + _VIEWER_TIMEOUT
@@ -86,7 +108,7 @@ def open_window() -> str:
         if viewer.poll() is not None:
             raise ViewerError(f"the viewer ended with status {viewer.returncode}; its messages are above")
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
-            return f"rerun+http://127.0.0.1:{port}/proxy"
+            return Viewer(viewer, f"rerun+http://127.0.0.1:{port}/proxy")
         time.sleep(0.05)
     viewer.kill()
     raise ViewerError(f"the viewer did not start within {_VIEWER_TIMEOUT:g} s; use --save out.rrd")

@@ -1,0 +1,127 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Process of `cloth_viewer` that draws: messages on the standard input, Rerun as the output.
+
+It imports no ROS, so that it may run in an environment of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.replay.viewer import Viewer, ViewerError, check_screen, open_window, serve_page
+from cloth_sim_ros.session.console import escape_unencodable
+from cloth_sim_ros.session.message_pipe import unpack
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from cloth_sim_ros.replay.pre_scan import PreScan
+
+DONE, UNAVAILABLE = 0, 1
+#: Memory of the viewer; it then drops the oldest frames.
+_MEMORY = "2GB"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Draw until the input ends; return the exit status."""
+    # Ctrl-C reaches the whole process group; the parent ends the input.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    escape_unencodable()
+    options = _parser().parse_args(arguments)
+    if importlib.util.find_spec("rerun") is None:
+        _print(
+            "the Rerun viewer is not installed: pip install 'cloth_sim_ros[replay]', here or in an environment of its "
+            "own that --python names"
+        )
+        return UNAVAILABLE
+    viewer = None
+    try:
+        viewer = _start_viewer(options)
+        return _draw(options, viewer)
+    except (ViewerError, OSError) as error:
+        _print(str(error))
+        return UNAVAILABLE
+    finally:
+        if viewer is not None:
+            viewer.process.terminate()
+
+
+def _start_viewer(options: argparse.Namespace) -> Viewer | None:
+    if options.save or options.connect:
+        return None
+    if options.serve:
+        viewer, page = serve_page(options.serve, memory=_MEMORY)
+        _print(f"open {page}")
+        return viewer
+    check_screen("use --save out.rrd for a file, or --serve for a page that a browser shows")
+    return open_window("--memory-limit", _MEMORY)
+
+
+def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
+    import rerun as rr
+
+    from cloth_sim_ros.replay.blueprint import make_blueprint
+    from cloth_sim_ros.replay.live import LiveView
+
+    # Without strict mode, rerun only warns about an error, and the recording lacks the rows.
+    rr.set_strict_mode(True)
+    n_recordings = 0
+
+    def start_recording(scan: PreScan) -> rr.RecordingStream:
+        nonlocal n_recordings
+        n_recordings += 1
+        recording = rr.RecordingStream("cloth_sim")
+        recording.send_recording_name(options.node.strip("/") + (f" {n_recordings}" if n_recordings > 1 else ""))
+        blueprint = make_blueprint(scan, following=True)
+        if options.save:
+            path = numbered(options.save, n_recordings)
+            recording.save(path, default_blueprint=blueprint)
+            _print(f"writing {path}")
+        else:
+            address = options.connect if viewer is None else viewer.address
+            recording.connect_grpc(address, default_blueprint=blueprint)
+        return recording
+
+    view = LiveView(
+        options.node, start_recording, on_message=_print, every=options.every, strain_limit=options.strain_limit
+    )
+    for topic, data in unpack(sys.stdin.buffer):
+        if viewer is not None and viewer.process.poll() is not None:
+            _print("the viewer was closed")
+            return DONE
+        view.add(topic, data)
+    view.finish()
+    return DONE
+
+
+def numbered(path: Path, number: int) -> Path:
+    """Return the file of a recording: the second one of `out.rrd` is `out_2.rrd`."""
+    return path if number == 1 else path.with_name(f"{path.stem}_{number}{path.suffix}")
+
+
+def _print(text: str) -> None:
+    # In one write: two processes share the stream.
+    os.write(2, f"cloth_viewer: {text}\n".encode(errors="backslashreplace"))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="cloth_viewer")
+    parser.add_argument("--node", required=True)
+    parser.add_argument("--save", type=Path)
+    parser.add_argument("--connect")
+    parser.add_argument("--serve", type=int)
+    parser.add_argument("--every", type=int, required=True)
+    parser.add_argument("--strain-limit", type=float, required=True)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

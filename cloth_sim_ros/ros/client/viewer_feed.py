@@ -1,0 +1,144 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions of the live viewer: forwards a node's messages as bytes."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PointStamped, PoseStamped, WrenchStamped
+from rcl_interfaces.msg import Log, ParameterEvent
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from shape_msgs.msg import Mesh
+from visualization_msgs.msg import MarkerArray
+
+from cloth_sim_ros.ros.io.output import LATCHED_QOS
+
+#: Only the newest message is wanted, and the node never waits for it.
+_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_STREAM = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: Parameters that the view needs, and those of each gripper.
+_PARAMETERS = [
+    *("grippers", "gripper.radius", "gripper.mode", "cloth.anchors", "obstacles", "frame_id", "rate"),
+    "diagnostics.energy",
+]
+_GRIPPER_PARAMETERS = ["mode"]
+#: Longest wait for the parameters of a node that has published its topology [s]; a bag has none.
+_PARAMETERS_TIMEOUT = 2.0
+#: Time without a topology after which the user is told [s].
+_SILENCE = 5.0
+
+
+class ViewerFeed:
+    """Subscribes to a cloth's outputs, and forwards them.
+
+    Each topology begins anew: a node that was restarted may have other grippers. Then the parameters are read, and the
+    other topics are subscribed to, so that their latched messages come after them.
+
+    Args:
+        node: the caller's node.
+        target: full name of the cloth's node, e.g. ``/cloth_sim``.
+        send: receives topic and contents. Topics have their names before remapping; `parameters` has the parameters as
+            JSON, `changed` those that have changed.
+    """
+
+    def __init__(self, node: Node, target: str, send: Callable[[str, bytes], object]) -> None:
+        self._node, self._target, self._send = node, target, send
+        self._log = node.get_logger()
+        self._parameters: dict[str, Any] = {}
+        self._subscriptions: list[Any] = []
+        self._client = node.create_client(GetParameters, f"{target}/get_parameters")
+        #: Steady time at which the topology came [s]; None once the other topics are subscribed to, or before.
+        self._asked: float | None = None
+        self._requests = 0
+        self._begun = time.monotonic()
+        self._has_topology = self._has_warned = False
+        node.create_subscription(Mesh, f"{target}/topology", self._on_topology, LATCHED_QOS, raw=True)
+        self._timer = node.create_timer(0.05, self._on_timer)
+
+    def _on_topology(self, data: bytes) -> None:
+        self._has_topology = True
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions, self._parameters = [], {}
+        self._send(f"{self._target}/topology", data)
+        self._asked = time.monotonic()
+        self._requests += 1
+        self._ask(_PARAMETERS, self._on_parameters)
+
+    def _ask(self, names: Sequence[str], receive: Callable[[dict[str, Any]], object]) -> None:
+        """Request parameters, and pass those that are set, unless another topology has come by then."""
+        number = self._requests
+
+        def done(future: Any) -> None:
+            if number != self._requests or self._asked is None or future.result() is None:
+                return
+            found = zip(names, future.result().values, strict=False)
+            receive({name: value for name, entry in found if (value := parameter_value_to_python(entry)) is not None})
+
+        self._client.call_async(GetParameters.Request(names=list(names))).add_done_callback(done)
+
+    def _on_parameters(self, values: dict[str, Any]) -> None:
+        self._parameters = values
+        names = [f"{name}.{leaf}" for name in values.get("grippers", ()) if name for leaf in _GRIPPER_PARAMETERS]
+        if names:
+            self._ask(names, lambda further: self._subscribe({**values, **further}))
+        else:
+            self._subscribe(values)
+
+    def _on_timer(self) -> None:
+        now = time.monotonic()
+        if self._asked is not None and now - self._asked > _PARAMETERS_TIMEOUT:
+            self._log.warning(
+                f"{self._target} does not answer with its parameters: grippers, anchors and forces are not shown"
+            )
+            self._subscribe(self._parameters)
+        if not (self._has_topology or self._has_warned) and now - self._begun > _SILENCE:
+            self._has_warned = True
+            ends = (name.removesuffix("/topology") for name, _ in self._node.get_topic_names_and_types())
+            others = sorted(name for name in ends if (f"{name}/points" in self._topics()) and name != self._target)
+            listed = f"; there are {', '.join(others)} (--node)" if others else "; does the node run?"
+            self._log.warning(f"nothing has come on {self._target}/topology for {_SILENCE:g} s{listed}")
+
+    def _topics(self) -> set[str]:
+        return {name for name, _ in self._node.get_topic_names_and_types()}
+
+    def _subscribe(self, parameters: dict[str, Any]) -> None:
+        self._asked = None
+        self._parameters = parameters
+        self._send("parameters", json.dumps(parameters, default=list).encode())
+        grippers = [name for name in parameters.get("grippers", ()) if name]
+        obstacles = [name for name in parameters.get("obstacles", ()) if name]
+        topics: list[tuple[str, Any, QoSProfile]] = [
+            ("obstacles", MarkerArray, LATCHED_QOS),
+            ("clock", Clock, _NEWEST),
+            ("points", PointCloud2, _NEWEST),
+            *((f"{name}/wrench", WrenchStamped, _NEWEST) for name in [*grippers, *obstacles]),
+            *((f"{name}/state", DiagnosticStatus, LATCHED_QOS) for name in grippers),
+            *((f"{name}/target", PoseStamped, _NEWEST) for name in grippers),
+            *((f"{name}/point", PointStamped, _NEWEST) for name in grippers),
+        ]
+        named = [(f"{self._target}/{leaf}", kind, qos) for leaf, kind, qos in topics]
+        named += [("/diagnostics", DiagnosticArray, _STREAM), ("/rosout", Log, _STREAM)]
+        for topic, kind, qos in named:
+            forward = partial(self._send, topic)
+            self._subscriptions.append(self._node.create_subscription(kind, topic, forward, qos, raw=True))
+        events = self._node.create_subscription(ParameterEvent, "/parameter_events", self._on_event, _STREAM)
+        self._subscriptions.append(events)
+        self._log.info(f"showing {self._target}")
+
+    def _on_event(self, event: Any) -> None:
+        if event.node == self._target:
+            entries = [*event.new_parameters, *event.changed_parameters]
+            changed = {entry.name: parameter_value_to_python(entry.value) for entry in entries}
+            self._send("changed", json.dumps(changed, default=list).encode())
