@@ -35,6 +35,8 @@ _PARAMETERS = [
 _GRIPPER_PARAMETERS = ["mode"]
 #: Longest wait for the parameters of a node that has published its topology [s]; a bag has none.
 _PARAMETERS_TIMEOUT = 2.0
+#: Time after which a request without an answer is repeated [s].
+_REQUEST_PERIOD = 0.5
 #: Time without a topology after which the user is told [s].
 _SILENCE = 5.0
 
@@ -55,33 +57,56 @@ class ViewerFeed:
     def __init__(self, node: Node, target: str, send: Callable[[str, bytes], object]) -> None:
         self._node, self._target, self._send = node, target, send
         self._log = node.get_logger()
-        self._parameters: dict[str, Any] = {}
         self._subscriptions: list[Any] = []
         self._client = node.create_client(GetParameters, f"{target}/get_parameters")
-        #: Steady time at which the topology came [s]; None once the other topics are subscribed to, or before.
-        self._asked: float | None = None
-        self._requests = 0
-        self._begun = time.monotonic()
-        self._has_topology = self._has_warned = False
+        #: Steady time at which the topology came [s]; None before it, and once the other topics are subscribed to.
+        self._topology_time: float | None = None
+        #: Steady time of the next request for parameters [s], and the number of topologies so far.
+        self._next_request = 0.0
+        self._n_topologies = 0
+        self._start = time.monotonic()
+        self._has_warned = False
         node.create_subscription(Mesh, f"{target}/topology", self._on_topology, LATCHED_QOS, raw=True)
         self._timer = node.create_timer(0.05, self._on_timer)
 
     def _on_topology(self, data: bytes) -> None:
-        self._has_topology = True
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        self._subscriptions, self._parameters = [], {}
+        self._subscriptions = []
         self._send(f"{self._target}/topology", data)
-        self._asked = time.monotonic()
-        self._requests += 1
-        self._ask(_PARAMETERS, self._on_parameters)
+        self._topology_time, self._next_request = time.monotonic(), 0.0
+        self._n_topologies += 1
+        self._on_timer()
 
-    def _ask(self, names: Sequence[str], receive: Callable[[dict[str, Any]], object]) -> None:
-        """Request parameters, and pass those that are set, unless another topology has come by then."""
-        number = self._requests
+    def _on_timer(self) -> None:
+        now = time.monotonic()
+        if self._topology_time is not None:
+            if now - self._topology_time > _PARAMETERS_TIMEOUT:
+                self._log.warning(
+                    f"{self._target} does not answer with its parameters: grippers, anchors and forces are not shown"
+                )
+                self._subscribe({})
+            elif now > self._next_request and self._client.service_is_ready():
+                # Again if it is lost: the service may still be that of a node that was killed.
+                self._next_request = now + _REQUEST_PERIOD
+                self._request(_PARAMETERS, self._on_parameters)
+        elif not (self._n_topologies or self._has_warned) and now - self._start > _SILENCE:
+            self._has_warned = True
+            topics = self._topics()
+            others = sorted(
+                name
+                for name in (topic.removesuffix("/points") for topic in topics if topic.endswith("/points"))
+                if f"{name}/topology" in topics and name != self._target
+            )
+            listed = f"; there are {', '.join(others)} (--node)" if others else "; does the node run?"
+            self._log.warning(f"nothing has come on {self._target}/topology for {_SILENCE:g} s{listed}")
+
+    def _request(self, names: Sequence[str], receive: Callable[[dict[str, Any]], object]) -> None:
+        """Request parameters, and pass those that are set, unless others have come by then."""
+        number = self._n_topologies
 
         def done(future: Any) -> None:
-            if number != self._requests or self._asked is None or future.result() is None:
+            if number != self._n_topologies or self._topology_time is None or future.result() is None:
                 return
             found = zip(names, future.result().values, strict=False)
             receive({name: value for name, entry in found if (value := parameter_value_to_python(entry)) is not None})
@@ -89,33 +114,17 @@ class ViewerFeed:
         self._client.call_async(GetParameters.Request(names=list(names))).add_done_callback(done)
 
     def _on_parameters(self, values: dict[str, Any]) -> None:
-        self._parameters = values
         names = [f"{name}.{leaf}" for name in values.get("grippers", ()) if name for leaf in _GRIPPER_PARAMETERS]
         if names:
-            self._ask(names, lambda further: self._subscribe({**values, **further}))
+            self._request(names, lambda further: self._subscribe({**values, **further}))
         else:
             self._subscribe(values)
-
-    def _on_timer(self) -> None:
-        now = time.monotonic()
-        if self._asked is not None and now - self._asked > _PARAMETERS_TIMEOUT:
-            self._log.warning(
-                f"{self._target} does not answer with its parameters: grippers, anchors and forces are not shown"
-            )
-            self._subscribe(self._parameters)
-        if not (self._has_topology or self._has_warned) and now - self._begun > _SILENCE:
-            self._has_warned = True
-            ends = (name.removesuffix("/topology") for name, _ in self._node.get_topic_names_and_types())
-            others = sorted(name for name in ends if (f"{name}/points" in self._topics()) and name != self._target)
-            listed = f"; there are {', '.join(others)} (--node)" if others else "; does the node run?"
-            self._log.warning(f"nothing has come on {self._target}/topology for {_SILENCE:g} s{listed}")
 
     def _topics(self) -> set[str]:
         return {name for name, _ in self._node.get_topic_names_and_types()}
 
     def _subscribe(self, parameters: dict[str, Any]) -> None:
-        self._asked = None
-        self._parameters = parameters
+        self._topology_time = None
         self._send("parameters", json.dumps(parameters, default=list).encode())
         grippers = [name for name in parameters.get("grippers", ()) if name]
         obstacles = [name for name in parameters.get("obstacles", ()) if name]
