@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import difflib
+import re
+from collections.abc import Callable
 from typing import Any
 
 from launch import LaunchContext, LaunchDescription
@@ -34,7 +36,13 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
         ["", "true", "false", "True", "False"],
     ),
     ("log_level", "info", "minimum severity of logged messages", ["debug", "info", "warn", "error", "fatal"]),
-    ("rviz", "false", "show the cloth in RViz (needs rviz2)", ["true", "false", "True", "False"]),
+    (
+        "viewer",
+        "none",
+        "show the cloth in Rerun (needs cloth_sim_ros[replay]), Foxglove (needs foxglove_bridge) or RViz (needs rviz2)",
+        ["none", "rerun", "foxglove", "rviz"],
+    ),
+    ("rviz", "false", "former name of viewer:=rviz", ["true", "false", "True", "False"]),
     ("rviz_config", PathJoinSubstitution([_CONFIG, "cloth_sim.rviz"]), "configuration of RViz", None),
 ]
 #: Meshes of scenes, which a node gets by absolute path.
@@ -44,7 +52,7 @@ _RVIZ_TOPICS = ("points", "mesh", "obstacles", "gripper/point")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the node `cloth_sim` with parameter file, namespace, name, clock and log level, and RViz on request."""
+    """Describe the node `cloth_sim` with its parameters, name, clock and log level, and a viewer on request."""
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=meaning, **({"choices": some} if some else {}))
         for name, default, meaning, some in _ARGUMENTS
@@ -72,21 +80,74 @@ def _actions(context: LaunchContext) -> list[Any]:
         sigkill_timeout="10",
     )
     actions = [*_misspelt_arguments(context, list(arguments)), cloth]
+    viewer = arguments["viewer"]
     if arguments["rviz"].lower() == "true":
+        actions.append(LogInfo(msg="rviz:=true is the former name of viewer:=rviz, and works for one release"))
+        viewer = "rviz" if viewer == "none" else viewer
+    if viewer != "none":
         full = "/".join(["", *arguments["namespace"].strip("/").split("/"), arguments["name"]]).replace("//", "/")
-        actions.append(
-            Node(
-                package="rviz2",
-                executable="rviz2",
-                name=f"{arguments['name']}_rviz",
-                namespace=arguments["namespace"],
-                arguments=["-d", arguments["rviz_config"]],
-                parameters=clock,
-                remappings=[(f"/cloth_sim/{topic}", f"{full}/{topic}") for topic in _RVIZ_TOPICS],
-                output="screen",
-            )
-        )
+        actions += _VIEWERS[viewer](arguments, full, clock)
     return actions
+
+
+def _rerun(arguments: dict[str, str], full: str, clock: list[Any]) -> list[Any]:
+    return [
+        Node(
+            package="cloth_sim_ros",
+            executable="cloth_viewer",
+            name=f"{arguments['name']}_viewer",
+            namespace=arguments["namespace"],
+            arguments=["--node", full],
+            output="screen",
+            sigterm_timeout="10",
+            sigkill_timeout="10",
+        )
+    ]
+
+
+def _foxglove(arguments: dict[str, str], full: str, clock: list[Any]) -> list[Any]:
+    layout = PathJoinSubstitution([_CONFIG, "cloth_sim.foxglove.json"])
+    renamed = "" if full == "/cloth_sim" else f", with /cloth_sim replaced by {full},"
+    return [
+        LogInfo(msg=["Foxglove: open the connection ws://localhost:8765, and import the layout ", layout, renamed]),
+        Node(
+            package="foxglove_bridge",
+            executable="foxglove_bridge",
+            name=f"{arguments['name']}_bridge",
+            namespace=arguments["namespace"],
+            # By default the bridge serves every topic, to every machine.
+            parameters=[
+                *clock,
+                {
+                    "address": "127.0.0.1",
+                    "topic_whitelist": [f"{re.escape(full)}/.*", "/tf.*", "/rosout", "/diagnostics"],
+                },
+            ],
+            output="screen",
+        ),
+    ]
+
+
+def _rviz(arguments: dict[str, str], full: str, clock: list[Any]) -> list[Any]:
+    return [
+        Node(
+            package="rviz2",
+            executable="rviz2",
+            name=f"{arguments['name']}_rviz",
+            namespace=arguments["namespace"],
+            arguments=["-d", arguments["rviz_config"]],
+            parameters=clock,
+            remappings=[(f"/cloth_sim/{topic}", f"{full}/{topic}") for topic in _RVIZ_TOPICS],
+            output="screen",
+        )
+    ]
+
+
+_VIEWERS: dict[str, Callable[[dict[str, str], str, list[Any]], list[Any]]] = {
+    "rerun": _rerun,
+    "foxglove": _foxglove,
+    "rviz": _rviz,
+}
 
 
 def _misspelt_arguments(context: LaunchContext, known: list[str]) -> list[Any]:

@@ -70,7 +70,10 @@ def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
 
     from cloth_sim_ros.replay.blueprint import make_blueprint
     from cloth_sim_ros.replay.live import LiveView
+    from cloth_sim_ros.session.channel_description import standard_types
 
+    # Before the first message, which would wait for it.
+    standard_types()
     # Without strict mode, rerun only warns about an error, and the recording lacks the rows.
     rr.set_strict_mode(True)
     n_recordings = 0

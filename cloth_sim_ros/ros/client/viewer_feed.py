@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -64,6 +64,8 @@ class ViewerFeed:
         #: Steady time of the next request for parameters [s], and the number of topologies so far.
         self._next_request = 0.0
         self._n_topologies = 0
+        #: Names in the newest request.
+        self._requested: set[str] = set()
         self._start = time.monotonic()
         self._has_warned = False
         node.create_subscription(Mesh, f"{target}/topology", self._on_topology, LATCHED_QOS, raw=True)
@@ -89,7 +91,7 @@ class ViewerFeed:
             elif now > self._next_request and self._client.service_is_ready():
                 # Again if it is lost: the service may still be that of a node that was killed.
                 self._next_request = now + _REQUEST_PERIOD
-                self._request(_PARAMETERS, self._on_parameters)
+                self._request([*_PARAMETERS, *self._gripper_parameters(self._discovered())], self._on_parameters)
         elif not (self._n_topologies or self._has_warned) and now - self._start > _SILENCE:
             self._has_warned = True
             topics = self._topics()
@@ -103,7 +105,7 @@ class ViewerFeed:
 
     def _request(self, names: Sequence[str], receive: Callable[[dict[str, Any]], object]) -> None:
         """Request parameters, and pass those that are set, unless others have come by then."""
-        number = self._n_topologies
+        number, self._requested = self._n_topologies, {*names}
 
         def done(future: Any) -> None:
             if number != self._n_topologies or self._topology_time is None or future.result() is None:
@@ -114,11 +116,20 @@ class ViewerFeed:
         self._client.call_async(GetParameters.Request(names=list(names))).add_done_callback(done)
 
     def _on_parameters(self, values: dict[str, Any]) -> None:
-        names = [f"{name}.{leaf}" for name in values.get("grippers", ()) if name for leaf in _GRIPPER_PARAMETERS]
-        if names:
-            self._request(names, lambda further: self._subscribe({**values, **further}))
-        else:
+        names = self._gripper_parameters(values.get("grippers", ()))
+        if set(names) <= self._requested:
             self._subscribe(values)
+        else:
+            # A gripper was not discovered yet.
+            self._request([*_PARAMETERS, *names], self._subscribe)
+
+    def _gripper_parameters(self, grippers: Iterable[str]) -> list[str]:
+        return [f"{name}.{leaf}" for name in grippers if name for leaf in _GRIPPER_PARAMETERS]
+
+    def _discovered(self) -> list[str]:
+        """Return the names of the grippers whose topics are known: a busy node takes long to answer each request."""
+        topics = (topic.removeprefix(f"{self._target}/").split("/") for topic in self._topics())
+        return [parts[0] for parts in topics if parts[1:] == ["state"]]
 
     def _topics(self) -> set[str]:
         return {name for name, _ in self._node.get_topic_names_and_types()}
