@@ -84,7 +84,8 @@ def make_blueprint(scan: PreScan, *, following: bool = False, picture: bool = Fa
             state="collapsed",
             timeline=SIM_TIME,
             play_state="following" if following else "paused" if picture else "playing",
-            loop_mode="all",
+            # The viewer does not follow the newest frame of a loop.
+            loop_mode="off" if following else "all",
         ),
         auto_layout=False,
         auto_views=False,

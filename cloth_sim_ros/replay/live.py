@@ -187,6 +187,9 @@ class LiveView:
             paused=False,
         )  # fmt: skip
         self._stream.add_record(record, cloud.stamp)
+        if self._obstacles is not None:
+            self._stream.add(self._message(f"{self._node}/obstacles", self._obstacles))
+            self._obstacles = None
         self._stream.add(Message(f"{self._node}/points", "", data, cloud.stamp, cloud.stamp, 0))
         for topic, state in self._states:
             self._stream.add(self._message(topic, state))
@@ -197,8 +200,6 @@ class LiveView:
         scan = live_scan(cloud, surface, parameters, obstacles=self._obstacles, strain_limit=self._strain_limit)
         self._recording = self._start_recording(scan)
         self._stream = ReplayStream(self._recording, scan, node=self._node, every=self._every)
-        if self._obstacles is not None:
-            self._stream.add(Message(f"{self._node}/obstacles", "", self._obstacles, cloud.stamp, cloud.stamp, 0))
 
 
 def live_scan(

@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,8 +45,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return UNAVAILABLE
     viewer = None
     try:
-        viewer = _start_viewer(options)
+        # The libraries load while the window opens.
+        with ThreadPoolExecutor(1) as starter:
+            starting = starter.submit(_start_viewer, options)
+            _load_libraries()
+            viewer = starting.result()
         return _draw(options, viewer)
+    except RuntimeError as error:
+        # Rerun's, from the connection.
+        if viewer is not None and viewer.process.poll() is not None:
+            _print("the viewer was closed")
+            return DONE
+        _print(f"the viewer does not answer: {error}")
+        return UNAVAILABLE
     except (ViewerError, OSError) as error:
         _print(str(error))
         return UNAVAILABLE
@@ -65,15 +77,24 @@ def _start_viewer(options: argparse.Namespace) -> Viewer | None:
     return open_window("--memory-limit", _MEMORY)
 
 
+def _load_libraries() -> None:
+    """Load what the first message would wait for."""
+    # Rerun's errors are reported here, in one sentence.
+    os.environ.setdefault("RUST_LOG", "off")
+    import rerun.blueprint  # noqa: F401
+
+    import cloth_sim_ros.replay.live  # noqa: F401
+    from cloth_sim_ros.session.channel_description import standard_types
+
+    standard_types()
+
+
 def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
     import rerun as rr
 
     from cloth_sim_ros.replay.blueprint import make_blueprint
     from cloth_sim_ros.replay.live import LiveView
-    from cloth_sim_ros.session.channel_description import standard_types
 
-    # Before the first message, which would wait for it.
-    standard_types()
     # Without strict mode, rerun only warns about an error, and the recording lacks the rows.
     rr.set_strict_mode(True)
     n_recordings = 0

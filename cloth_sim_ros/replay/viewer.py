@@ -100,7 +100,7 @@ def _start(*options: str) -> Viewer:
         [str(executable()), *options, "--bind", "127.0.0.1", "--port", str(port)],
         stdin=subprocess.DEVNULL,
         # As part of another program, it does not ask about analytics.
-        env={**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": os.environ.get("RUST_LOG", "warn")},
+        env={**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": "error"},
         start_new_session=True,
     )
     end = time.monotonic() + _VIEWER_TIMEOUT
