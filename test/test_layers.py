@@ -148,7 +148,16 @@ def test_only_public_rclpy_api_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["session.main", "replay.main", "verify.main", "studies.main", "session.moved_bench", "ros.gripper_main"]
+    "command",
+    [
+        "session.main",
+        "replay.main",
+        "verify.main",
+        "studies.main",
+        "session.moved_bench",
+        "ros.gripper_main",
+        "ros.viewer_main",
+    ],
 )
 def test_command_help_loads_no_heavy_module(command: str) -> None:
     skip_without(command.split(".")[0])

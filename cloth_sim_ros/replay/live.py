@@ -54,8 +54,7 @@ class LiveView:
     ) -> None:
         self._node, self._start_recording, self._on_message = node, start_recording, on_message
         self._every, self._strain_limit = every, strain_limit
-        #: Sentences that were sent.
-        self._sent: set[str] = set()
+        self._reported: set[str] = set()
         self._reset()
 
     def _reset(self) -> None:
@@ -85,7 +84,7 @@ class LiveView:
         try:
             self._add(topic, data)
         except SessionError as error:
-            self._report(f"a message on {topic} is not shown: {error}")
+            self._report(topic, f"a message on {topic} is not shown: {error}")
 
     def finish(self) -> None:
         """Send what is pending, and end the recording."""
@@ -95,9 +94,10 @@ class LiveView:
             self._recording.disconnect()
         self._reset()
 
-    def _report(self, sentence: str) -> None:
-        if sentence not in self._sent:
-            self._sent.add(sentence)
+    def _report(self, subject: str, sentence: str) -> None:
+        """Send a sentence, once for each subject."""
+        if subject not in self._reported:
+            self._reported.add(subject)
             self._on_message(sentence)
 
     def _add(self, topic: str, data: bytes) -> None:
@@ -151,7 +151,7 @@ class LiveView:
         frame = message.header.frame_id
         known = "" if self._parameters is None else str(self._parameters.get("frame_id", ""))
         if frame and frame != known:
-            self._report(f"targets of '{gripper}' are in frame '{frame}', not in '{known}': it is not shown")
+            self._report(gripper, f"targets of '{gripper}' are in frame '{frame}', not in '{known}': it is not shown")
             return
         at = message.point if kind == "point" else message.pose.position
         q = None if kind == "point" else message.pose.orientation
@@ -175,10 +175,14 @@ class LiveView:
             return
         data, time = self._cloud, self._time
         self._cloud = self._time = None
-        cloud = decode_cloud(data)
-        check_fit(cloud, len(self._surface.vertices))
-        if self._stream is None:
-            self._start(cloud, self._surface, self._parameters)
+        try:
+            cloud = decode_cloud(data)
+            check_fit(cloud, len(self._surface.vertices))
+            if self._stream is None:
+                self._start(cloud, self._surface, self._parameters)
+        except SessionError as error:
+            self._report("cloud", f"a cloud is not shown: {error}")
+            return
         assert self._stream is not None
         events, self._targets, self._events = [*self._targets.values(), *self._events], {}, []
         frame = round(time * float(self._parameters.get("rate", 0.0)))
@@ -224,7 +228,9 @@ def live_scan(
     """
     rest = np.asarray(surface.vertices, dtype=np.float64)
     if len(surface.triangles) and int(surface.triangles.max()) >= len(rest):
-        raise SessionError(f"its triangles name particle {surface.triangles.max()}, and there are {len(rest)}")
+        raise SessionError(
+            f"a triangle of the topology names particle {surface.triangles.max()}, and there are {len(rest)}"
+        )
     positions = np.asarray(cloud.xyz, dtype=np.float64)
     names = [str(name) for name in parameters.get("grippers", ()) if name]
     mode = parameters.get("gripper.mode", "attach")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -33,8 +32,6 @@ _MEMORY = "2GB"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw until the input ends; return the exit status."""
-    # Ctrl-C reaches the whole process group; the parent ends the input.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     escape_unencodable()
     options = _parser().parse_args(arguments)
     if importlib.util.find_spec("rerun") is None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Environments in which no node can start: one sentence with the remedy, from node and gripper client."""
+"""Environments in which no node can start: one sentence with the remedy, from node, gripper client and viewer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ import pytest
 
 from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, explain
 
-COMMANDS = {"cloth_sim": "cloth_sim_ros.ros.main", "cloth_gripper": "cloth_sim_ros.ros.gripper_main"}
+COMMANDS = {
+    "cloth_sim": "cloth_sim_ros.ros.main",
+    "cloth_gripper": "cloth_sim_ros.ros.gripper_main",
+    "cloth_viewer": "cloth_sim_ros.ros.viewer_main",
+}
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import sys
@@ -24,6 +25,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from support.ros_client import Client, pose, positions
 
+from cloth_sim_ros.ros.io.qos_rules import topics_of
 from cloth_sim_ros.scene.parameters.parameter_file import read
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -158,7 +160,7 @@ def test_every_argument_reaches_the_node(
 
 @pytest.mark.parametrize("use_sim_time", ["", "true", "False"])
 def test_launch_keeps_use_sim_time_of_parameter_file(monkeypatch: pytest.MonkeyPatch, use_sim_time: str) -> None:
-    launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=use_sim_time, rviz="true")
+    launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=use_sim_time, viewer="rviz")
     expected = [{"use_sim_time": use_sim_time == "true"}] if use_sim_time else []
     cloth, rviz = launched.nodes
     assert cloth["parameters"] == ["own.yaml", *expected]
@@ -182,9 +184,63 @@ def test_each_packaged_scene_is_a_launch_argument(monkeypatch: pytest.MonkeyPatc
         ]
 
 
+@pytest.mark.parametrize(("namespace", "full"), [("", "/cloth_sim"), ("left_arm", "/left_arm/cloth_sim")])
+def test_viewer_is_started_for_the_launched_cloth(namespace: str, full: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert len(Launched(monkeypatch, viewer="none").nodes) == 1
+    _, rerun = Launched(monkeypatch, viewer="rerun", namespace=namespace).nodes
+    assert (rerun["package"], rerun["executable"]) == ("cloth_sim_ros", "cloth_viewer")
+    assert rerun["arguments"] == ["--node", full]
+    _, rviz = Launched(monkeypatch, viewer="rviz", namespace=namespace).nodes
+    assert rviz["package"] == "rviz2"
+    launched = Launched(monkeypatch, viewer="foxglove", namespace=namespace)
+    _, bridge = launched.nodes
+    assert (bridge["package"], bridge["executable"]) == ("foxglove_bridge", "foxglove_bridge")
+    # Private topics of other robots stay private, and other machines see nothing.
+    (parameters,) = bridge["parameters"]
+    assert parameters["address"] == "127.0.0.1"
+    allowed = [re.compile(pattern) for pattern in parameters["topic_whitelist"]]
+    for topic in (f"{full}/points", f"{full}/gripper/wrench", "/tf", "/tf_static", "/rosout", "/diagnostics"):
+        assert any(pattern.fullmatch(topic) for pattern in allowed)
+    assert not any(pattern.fullmatch("/camera/image") for pattern in allowed)
+    text = "".join(text_of(part, {}) for part in launched.words[0])
+    assert str(ROOT / "config" / "cloth_sim.foxglove.json") in text
+    assert (full in text) == bool(namespace)
+
+
+def test_foxglove_layout_shows_topics_of_the_node() -> None:
+    layout = json.loads((ROOT / "config" / "cloth_sim.foxglove.json").read_text())
+    panels = layout["configById"]
+    leaves: list[str] = []
+    waiting = [layout["layout"]]
+    while waiting:
+        branch = waiting.pop()
+        if isinstance(branch, str):
+            leaves.append(branch)
+        else:
+            assert branch["direction"] in ("row", "column")
+            waiting += [branch["first"], branch["second"]]
+    assert sorted(leaves) == sorted(panels)
+    topics = topics_of(Scene.from_parameters({"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1]}))
+    sent = {topic.replace("~", "/cloth_sim") for topic in topics["publisher"]} | {"/rosout", "/cloth_sim/keypoints"}
+    (view,) = (panel for name, panel in panels.items() if name.startswith("3D!"))
+    assert {"/cloth_sim/mesh", "/cloth_sim/obstacles"} <= view["topics"].keys() <= sent
+    assert view["topics"]["/cloth_sim/mesh"]["visible"]
+    taken = {topic.replace("~", "/cloth_sim") for topic in topics["subscription"]}
+    assert {view["publish"]["pointTopic"], view["publish"]["poseTopic"]} <= taken
+    for panel in (panel for name, panel in panels.items() if name.startswith("Plot!")):
+        assert {path["value"].partition(".")[0] for path in panel["paths"]} <= sent
+
+
+def test_rviz_argument_of_old_still_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    launched = Launched(monkeypatch, rviz="true")
+    assert [node["package"] for node in launched.nodes] == ["cloth_sim_ros", "rviz2"]
+    assert launched.words == ["rviz:=true is the former name of viewer:=rviz, and works for one release"]
+    assert len(Launched(monkeypatch, rviz="true", viewer="rviz").nodes) == 2
+
+
 def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(Launched(monkeypatch).nodes) == 1
-    _, rviz = Launched(monkeypatch, rviz="true", namespace="left_arm", name="towel").nodes
+    _, rviz = Launched(monkeypatch, viewer="rviz", namespace="left_arm", name="towel").nodes
     assert (rviz["package"], rviz["executable"]) == ("rviz2", "rviz2")
     option, path = rviz["arguments"]
     assert option == "-d"
@@ -203,7 +259,7 @@ def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) 
         topics["MarkerArray"]["Value"]: "/left_arm/towel/obstacles",
         tool: "/left_arm/towel/gripper/point",
     }
-    _, plain = Launched(monkeypatch, rviz="true").nodes
+    _, plain = Launched(monkeypatch, viewer="rviz").nodes
     assert all(old == new for old, new in plain["remappings"])
 
 

@@ -69,6 +69,7 @@ class ViewerFeed:
         self._start = time.monotonic()
         self._has_warned = False
         node.create_subscription(Mesh, f"{target}/topology", self._on_topology, LATCHED_QOS, raw=True)
+        self._log.info(f"waiting for {target}")
         self._timer = node.create_timer(0.05, self._on_timer)
 
     def _on_topology(self, data: bytes) -> None:

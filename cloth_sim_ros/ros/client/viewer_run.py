@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from cloth_sim_ros.ros.client.viewer_feed import ViewerFeed
-from cloth_sim_ros.ros.process.arguments import ArgumentsError, read_and_start, readable
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, read_and_start, readable
 from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.session.errors import SessionError
@@ -45,10 +45,14 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
     _check(parser, options)
     target = "/" + options.node.strip("/")
     try:
+        check_environment(os.environ, argv)
         check_outputs({"--save": options.save}, [], endings={"--save": ".rrd"})
         # First, because a window needs a second to open.
-        child = subprocess.Popen(_command(options, target), stdin=subprocess.PIPE, env=child_environment())
-    except (SessionError, OSError) as error:
+        # In a session of its own: Ctrl-C ends this process, which ends its input.
+        child = subprocess.Popen(
+            _command(options, target), stdin=subprocess.PIPE, env=child_environment(), start_new_session=True
+        )
+    except (ArgumentsError, SessionError, OSError) as error:
         return _refuse(str(error))
     try:
         read_and_start(parser, argv)
