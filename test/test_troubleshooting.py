@@ -23,11 +23,13 @@ PAGES = [
         "node/cameras.md",
         "node/gripper_action.md",
         "node/simulation_interfaces.md",
+        "node/viewers.md",
     )
 ]
 PAGE = " ".join(" ".join(path.read_text(encoding="utf-8").replace("<br>", " ") for path in PAGES).split())
-#: Modules of `ros` whose texts belong to other commands: the demo, the gripper client, `cloth_sim --check`.
-OTHER_COMMANDS = re.compile(r"demo|options|check|step_limiters|cloth_clock|gripper_(?!speed|actions)\w+")
+#: Modules of `ros` whose texts belong to other commands: the demo, the gripper client, the viewer,
+#: `cloth_sim --check`.
+OTHER_COMMANDS = re.compile(r"demo|options|check|step_limiters|cloth_clock|viewer_run|gripper_(?!speed|actions)\w+")
 #: Modules outside `ros` whose texts the node logs: refused events, grasps, contact, implausible sizes.
 LOGGED = {"event_checks", "contact_recovery", "plausibility", "grippers", "parallel_grippers", "initial_penetration"}
 #: Not printed: a filter of warnings, and a profile of the middleware.

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from cloth_sim_ros.replay.viewer import Viewer, ViewerError, check_screen, open_window, serve_page
 from cloth_sim_ros.session.console import escape_unencodable
+from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.message_pipe import unpack
 
 if TYPE_CHECKING:
@@ -34,14 +35,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Draw until the input ends; return the exit status."""
     escape_unencodable()
     options = _parser().parse_args(arguments)
-    if importlib.util.find_spec("rerun") is None:
+    if any(importlib.util.find_spec(library) is None for library in ("rerun", "mcap", "rosbags")):
         _print(
             "the Rerun viewer is not installed: pip install 'cloth_sim_ros[replay]', here or in an environment of its "
             "own that --python names"
         )
         return UNAVAILABLE
+    from cloth_sim_ros.session.output_files import check_outputs
+
     viewer = None
     try:
+        check_outputs({"--save": options.save}, [], endings={"--save": ".rrd"})
         # The libraries load while the window opens.
         with ThreadPoolExecutor(1) as starter:
             starting = starter.submit(_start_viewer, options)
@@ -55,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return DONE
         _print(f"the viewer does not answer: {error}")
         return UNAVAILABLE
-    except (ViewerError, OSError) as error:
+    except (ViewerError, SessionError, OSError) as error:
         _print(str(error))
         return UNAVAILABLE
     finally:

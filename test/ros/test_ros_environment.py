@@ -18,6 +18,8 @@ COMMANDS = {
     "cloth_gripper": "cloth_sim_ros.ros.gripper_main",
     "cloth_viewer": "cloth_sim_ros.ros.viewer_main",
 }
+#: Without it the viewer also says that there is no screen.
+ARGUMENTS = {"cloth_viewer": ["--connect", "rerun+http://127.0.0.1:1/proxy"]}
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -85,7 +87,8 @@ def test_secured_environment_gives_no_traceback(
     assert line.startswith(f"{command}: ROS_SECURITY_ENABLE is true and ROS_SECURITY_STRATEGY is Enforce, but ")
     # Without keys: a middleware with security refuses to start, one without reports the missing support.
     (tmp_path / "enclaves").mkdir()
-    process = start_process(["-m", COMMANDS[command]], env={**variables, "ROS_SECURITY_KEYSTORE": str(tmp_path)})
+    arguments = ["-m", COMMANDS[command], *ARGUMENTS.get(command, [])]
+    process = start_process(arguments, env={**variables, "ROS_SECURITY_KEYSTORE": str(tmp_path)})
     assert process.wait() == 1
     lines = [line for line in process.output.strip().splitlines() if line.startswith(f"{command}: ")]
     assert len(lines) == 1

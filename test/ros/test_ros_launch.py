@@ -204,7 +204,7 @@ def test_viewer_is_started_for_the_launched_cloth(namespace: str, full: str, mon
     assert not any(pattern.fullmatch("/camera/image") for pattern in allowed)
     text = "".join(text_of(part, {}) for part in launched.words[0])
     assert str(ROOT / "config" / "cloth_sim.foxglove.json") in text
-    assert (full in text) == bool(namespace)
+    assert (f"replaced by {full}" in text) == bool(namespace)
 
 
 def test_foxglove_layout_shows_topics_of_the_node() -> None:

@@ -2,5 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Client of the node's grippers: plays scripted grasps through the command topics.
 
-The command `cloth_gripper` and the demonstration use it. Begin with `gripper_player`.
+The command `cloth_gripper` and the demonstration use it. Begin with `gripper_player`. `viewer_feed` is the
+client of the command `cloth_viewer`.
 """

@@ -21,9 +21,7 @@ from cloth_sim_ros.ros.client.viewer_feed import ViewerFeed
 from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, read_and_start, readable
 from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.session.child_process import child_environment, module_command
-from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.message_pipe import pack
-from cloth_sim_ros.session.output_files import check_outputs
 
 #: Longest wait for the drawing process to finish its file [s].
 _FINISH_TIMEOUT = 10.0
@@ -46,13 +44,12 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
     target = "/" + options.node.strip("/")
     try:
         check_environment(os.environ, argv)
-        check_outputs({"--save": options.save}, [], endings={"--save": ".rrd"})
         # First, because a window needs a second to open.
         # In a session of its own: Ctrl-C ends this process, which ends its input.
         child = subprocess.Popen(
             _command(options, target), stdin=subprocess.PIPE, env=child_environment(), start_new_session=True
         )
-    except (ArgumentsError, SessionError, OSError) as error:
+    except (ArgumentsError, OSError) as error:
         return _refuse(str(error))
     try:
         read_and_start(parser, argv)
