@@ -226,10 +226,10 @@ def live_scan(
     Raises:
         SessionError: if the surface names particles that it does not have.
     """
-    rest = np.asarray(surface.vertices, dtype=np.float64)
-    if len(surface.triangles) and int(surface.triangles.max()) >= len(rest):
+    rest_positions = np.asarray(surface.vertices, dtype=np.float64)
+    if len(surface.triangles) and int(surface.triangles.max()) >= len(rest_positions):
         raise SessionError(
-            f"a triangle of the topology names particle {surface.triangles.max()}, and there are {len(rest)}"
+            f"a triangle of the topology names particle {surface.triangles.max()}, and there are {len(rest_positions)}"
         )
     positions = np.asarray(cloud.xyz, dtype=np.float64)
     names = [str(name) for name in parameters.get("grippers", ()) if name]
@@ -253,8 +253,8 @@ def live_scan(
         obstacles=tuple(str(name) for name in parameters.get("obstacles", ()) if name),
         positions=positions,
     )
-    geometry = make_surface_geometry(surface.triangles, rest, positions, cloud.height, cloud.width)
-    normals, strain = np.empty((len(rest), 3), np.float32), np.empty(len(rest), np.float32)
+    geometry = make_surface_geometry(surface.triangles, rest_positions, positions, cloud.height, cloud.width)
+    normals, strain = np.empty((len(rest_positions), 3), np.float32), np.empty(len(rest_positions), np.float32)
     geometry.compute(np.ascontiguousarray(positions, dtype=np.float32), normals, strain)
     low, high = positions.min(axis=0), positions.max(axis=0)
     margin = _MARGIN * float(np.linalg.norm(high - low))

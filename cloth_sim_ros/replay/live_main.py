@@ -127,9 +127,9 @@ def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
     return DONE
 
 
-def numbered(path: Path, number: int) -> Path:
+def numbered(path: Path, index: int) -> Path:
     """Return the file of a recording: the second one of `out.rrd` is `out_2.rrd`."""
-    return path if number == 1 else path.with_name(f"{path.stem}_{number}{path.suffix}")
+    return path if index == 1 else path.with_name(f"{path.stem}_{index}{path.suffix}")
 
 
 def _print(text: str) -> None:

@@ -225,8 +225,8 @@ def test_foxglove_layout_shows_topics_of_the_node() -> None:
     (view,) = (panel for name, panel in panels.items() if name.startswith("3D!"))
     assert {"/cloth_sim/mesh", "/cloth_sim/obstacles"} <= view["topics"].keys() <= sent
     assert view["topics"]["/cloth_sim/mesh"]["visible"]
-    taken = {topic.replace("~", "/cloth_sim") for topic in topics["subscription"]}
-    assert {view["publish"]["pointTopic"], view["publish"]["poseTopic"]} <= taken
+    commands = {topic.replace("~", "/cloth_sim") for topic in topics["subscription"]}
+    assert {view["publish"]["pointTopic"], view["publish"]["poseTopic"]} <= commands
     for panel in (panel for name, panel in panels.items() if name.startswith("Plot!")):
         assert {path["value"].partition(".")[0] for path in panel["paths"]} <= sent
 

@@ -29,7 +29,7 @@ TRIANGLES = np.array([[0, 1, 4], [1, 5, 4]])
 
 
 class Feed:
-    """What a feed has forwarded in this process."""
+    """A feed in this process, and its messages."""
 
     def __init__(self, client: Client, target: str) -> None:
         self.client = client
@@ -77,10 +77,10 @@ def test_missing_python_or_rerun_is_named(start_process: Callable[..., Any], tmp
     assert viewer.wait() == 1
     assert "/nowhere/python" in viewer.output
     assert "Traceback" not in viewer.output
-    other = tmp_path / "python"
-    other.write_text("#!/bin/sh\nexit 1\n")
-    other.chmod(0o755)
-    assert start_process(["-m", "cloth_sim_ros.ros.viewer_main", "--python", other]).wait() == 1
+    broken_python = tmp_path / "python"
+    broken_python.write_text("#!/bin/sh\nexit 1\n")
+    broken_python.chmod(0o755)
+    assert start_process(["-m", "cloth_sim_ros.ros.viewer_main", "--python", broken_python]).wait() == 1
 
 
 @pytest.mark.parametrize(
@@ -176,9 +176,9 @@ def test_stop_signal_ends_the_viewer_before_a_node_exists(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     pytest.importorskip("rerun", reason="the viewer is not installed: pip install 'cloth_sim_ros[replay]'")
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for signum in (signal.SIGINT, signal.SIGTERM):
         viewer = start_process([sys.executable, "-m", "cloth_sim_ros.ros.viewer_main", "--save", tmp_path / "out.rrd"])
         viewer.wait_for_output("waiting for /cloth_sim")
-        viewer.send_signal(number)
+        viewer.send_signal(signum)
         assert viewer.wait() == 0
         assert "Traceback" not in viewer.output

@@ -37,14 +37,14 @@ _GRIPPER_PARAMETERS = ["mode"]
 _PARAMETERS_TIMEOUT = 2.0
 #: Time after which a request without an answer is repeated [s].
 _REQUEST_PERIOD = 0.5
-#: Time without a topology after which the user is told [s].
+#: Time without a topology after which a warning is logged [s].
 _SILENCE = 5.0
 
 
 class ViewerFeed:
     """Subscribes to a cloth's outputs, and forwards them.
 
-    Each topology begins anew: a node that was restarted may have other grippers. Then the parameters are read, and the
+    A topology restarts the feed: the node may have other grippers now. Then the parameters are read, and the
     other topics are subscribed to, so that their latched messages come after them.
 
     Args:
@@ -96,23 +96,23 @@ class ViewerFeed:
         elif not (self._n_topologies or self._has_warned) and now - self._start > _SILENCE:
             self._has_warned = True
             topics = self._topics()
-            others = sorted(
+            cloths = sorted(
                 name
                 for name in (topic.removesuffix("/points") for topic in topics if topic.endswith("/points"))
                 if f"{name}/topology" in topics and name != self._target
             )
-            listed = f"; there are {', '.join(others)} (--node)" if others else "; does the node run?"
+            listed = f"; there are {', '.join(cloths)} (--node)" if cloths else "; does the node run?"
             self._log.warning(f"nothing has come on {self._target}/topology for {_SILENCE:g} s{listed}")
 
     def _request(self, names: Sequence[str], receive: Callable[[dict[str, Any]], object]) -> None:
         """Request parameters, and pass those that are set, unless others have come by then."""
-        number, self._requested = self._n_topologies, {*names}
+        topology_count, self._requested = self._n_topologies, {*names}
 
         def done(future: Any) -> None:
-            if number != self._n_topologies or self._topology_time is None or future.result() is None:
+            if topology_count != self._n_topologies or self._topology_time is None or future.result() is None:
                 return
-            found = zip(names, future.result().values, strict=False)
-            receive({name: value for name, entry in found if (value := parameter_value_to_python(entry)) is not None})
+            entries = zip(names, future.result().values, strict=False)
+            receive({name: value for name, entry in entries if (value := parameter_value_to_python(entry)) is not None})
 
         self._client.call_async(GetParameters.Request(names=list(names))).add_done_callback(done)
 

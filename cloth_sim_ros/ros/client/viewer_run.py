@@ -73,12 +73,12 @@ def _forward(child: subprocess.Popen[bytes], target: str, should_continue: Calla
     os.set_blocking(pipe, False)
 
     def send(topic: str, data: bytes) -> None:
-        rest = memoryview(pack(topic, data))
+        unsent = memoryview(pack(topic, data))
         # A slow viewer makes this wait. Meanwhile the middleware keeps the newest cloud alone.
-        while rest and should_continue():
+        while unsent and should_continue():
             if select.select([], [pipe], [], _POLL)[1]:
                 try:
-                    rest = rest[os.write(pipe, rest) :]
+                    unsent = unsent[os.write(pipe, unsent) :]
                 except BlockingIOError:
                     continue
                 except BrokenPipeError:
