@@ -28,6 +28,7 @@ COMMANDS = {
     "ros-node": ("benchmarks.ros.node", "time that the node adds to a frame; late frames while parameters are set"),
     "ros-outputs": ("benchmarks.ros.outputs", "cost of a frame with and without subscriber and recorder"),
     "ros-start": ("benchmarks.ros.start", "time from the start of the node to its first cloud"),
+    "ros-viewer": ("benchmarks.ros.viewer", "time from the start of the viewer to its first surface; size of a frame"),
     "ros-stream": ("benchmarks.ros.stream", "clouds lost or left out between node and subscriber"),
     "recording": ("benchmarks.ros.recording", "size and work of recording, measured on the clouds of a session"),
 }

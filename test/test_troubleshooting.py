@@ -29,7 +29,9 @@ PAGES = [
 PAGE = " ".join(" ".join(path.read_text(encoding="utf-8").replace("<br>", " ") for path in PAGES).split())
 #: Modules of `ros` whose texts belong to other commands: the demo, the gripper client, the viewer,
 #: `cloth_sim --check`.
-OTHER_COMMANDS = re.compile(r"demo|options|check|step_limiters|cloth_clock|viewer_run|gripper_(?!speed|actions)\w+")
+OTHER_COMMANDS = re.compile(
+    r"demo|options|check|step_limiters|cloth_clock|viewer_(?!feed)\w+|gripper_(?!speed|actions)\w+"
+)
 #: Modules outside `ros` whose texts the node logs: refused events, grasps, contact, implausible sizes.
 LOGGED = {"event_checks", "contact_recovery", "plausibility", "grippers", "parallel_grippers", "initial_penetration"}
 #: Not printed: a filter of warnings, and a profile of the middleware.

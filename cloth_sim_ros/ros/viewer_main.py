@@ -23,11 +23,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv if arguments is None else ["cloth_viewer", *arguments])
     with exit_on_signal("cloth_viewer"):
+        from cloth_sim_ros.ros.client.viewer_drawing import read_options, start_drawing
+
+        options = read_options(argv)
+        try:
+            drawing = start_drawing(options)
+        except OSError as error:
+            print(f"cloth_viewer: {error}", file=sys.stderr)
+            return 1
         from cloth_sim_ros.ros.client.viewer_run import run
 
         signals = StopSignals()
     signals.install()
-    return run(argv, signals)
+    return run(argv, options.node, drawing, signals)
 
 
 if __name__ == "__main__":

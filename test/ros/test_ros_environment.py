@@ -36,7 +36,7 @@ def test_unwritable_log_folder_gives_one_sentence(
         ({"ROS_LOG_DIR": str(tmp_path / "file")}, f"the log's folder {tmp_path / 'file'} can't be made, File exists"),
         ({"ROS_LOG_DIR": "", "ROS_HOME": below}, f"the log's folder {below}/log can't be made"),
     ):
-        process = start_process(["-m", COMMANDS[command]], env=variables)
+        process = start_process(["-m", COMMANDS[command], *ARGUMENTS.get(command, [])], env=variables)
         assert process.wait() == 1
         (line,) = process.output.strip().splitlines()
         assert line.startswith(f"{command}: {words}")
@@ -81,13 +81,13 @@ def test_secured_environment_gives_no_traceback(
     start_process: Callable[..., Any], tmp_path: Path, command: str
 ) -> None:
     variables = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
-    process = start_process(["-m", COMMANDS[command]], env=variables)
+    arguments = ["-m", COMMANDS[command], *ARGUMENTS.get(command, [])]
+    process = start_process(arguments, env=variables)
     assert process.wait() == 1
     (line,) = process.output.strip().splitlines()
     assert line.startswith(f"{command}: ROS_SECURITY_ENABLE is true and ROS_SECURITY_STRATEGY is Enforce, but ")
     # Without keys: a middleware with security refuses to start, one without reports the missing support.
     (tmp_path / "enclaves").mkdir()
-    arguments = ["-m", COMMANDS[command], *ARGUMENTS.get(command, [])]
     process = start_process(arguments, env={**variables, "ROS_SECURITY_KEYSTORE": str(tmp_path)})
     assert process.wait() == 1
     lines = [line for line in process.output.strip().splitlines() if line.startswith(f"{command}: ")]

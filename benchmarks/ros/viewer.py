@@ -1,0 +1,139 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Time from the start of `cloth_viewer` to the first surface in its recording, and the size of a frame.
+
+`python -m benchmarks ros-viewer` runs a cloth, and starts the viewer beside it several times with `--save`. A viewer
+with a window paints the same messages; the time until its window is open is not part of the figure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from benchmarks.ros.node_process import node_process
+from cloth_sim_ros.session.child_process import child_environment, module_command
+
+#: Longest wait for a first surface [s].
+_PATIENCE = 60.0
+_POLL = 0.02
+#: Time for which the viewer records, for the size of a frame [s].
+_RECORDED = 2.0
+_CLOTH = "/world/cloth"
+#: Largest time to the first surface [s].
+GOAL = 3.0
+
+
+@attrs.frozen(kw_only=True)
+class FirstSurface:
+    """Figures of one start of the viewer."""
+
+    #: Wall time from its start to the first surface in the file [s].
+    wall: float
+    #: Size of a frame of the surface, and of its triangles, which are sent once [bytes].
+    frame_bytes: float
+    triangle_bytes: int
+
+
+def measure_viewer(target: str, folder: Path) -> FirstSurface:
+    """Start the viewer of a node, and return its figures.
+
+    Raises:
+        RuntimeError: if it ends, or writes no surface.
+    """
+    out = folder / "out.rrd"
+    out.unlink(missing_ok=True)
+    begun = time.monotonic()
+    viewer = subprocess.Popen(
+        module_command("cloth_sim_ros.ros.viewer_main", "--node", target, "--save", str(out)),
+        env=child_environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        while not _surface_sizes(out)[0]:
+            if viewer.poll() is not None:
+                raise RuntimeError(f"the viewer ended with status {viewer.returncode}")
+            if time.monotonic() - begun > _PATIENCE:
+                raise RuntimeError(f"no surface came in {_PATIENCE:g} s")
+            time.sleep(_POLL)
+        wall = time.monotonic() - begun
+        time.sleep(_RECORDED)
+    finally:
+        viewer.send_signal(signal.SIGINT)
+        viewer.wait()
+    n_frames, n_bytes, triangle_bytes = _surface_sizes(out)
+    return FirstSurface(wall=wall, frame_bytes=n_bytes / n_frames, triangle_bytes=triangle_bytes)
+
+
+def _surface_sizes(path: Path) -> tuple[int, int, int]:
+    """Return the number of frames in a recording, their size, and that of the triangles [bytes]."""
+    from rerun.chunk import RrdReader
+
+    if not path.exists() or not path.stat().st_size:
+        return 0, 0, 0
+    n_frames = n_bytes = triangle_bytes = 0
+    try:
+        with warnings.catch_warnings():
+            # The file still grows.
+            warnings.simplefilter("ignore")
+            for chunk in RrdReader(path).stream():
+                if chunk.entity_path == _CLOTH:
+                    batch = chunk.to_record_batch()
+                    if chunk.is_static:
+                        triangle_bytes += batch.nbytes
+                    else:
+                        n_frames, n_bytes = n_frames + batch.num_rows, n_bytes + batch.nbytes
+    except (ValueError, RuntimeError):
+        # Its last message is incomplete.
+        return 0, 0, 0
+    return n_frames, n_bytes, triangle_bytes
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the figures as JSON.
+
+    Returns:
+        Exit status: 1 if the median time is above the goal, else 0.
+    """
+    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-viewer", description=__doc__)
+    parser.add_argument("--starts", type=int, default=5, help="starts of the viewer (default: 5)")
+    parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
+    options = parser.parse_args(arguments)
+    if options.starts < 1:
+        parser.error(f"--starts is {options.starts}; at least 1 is needed")
+    name = f"viewed_{os.getpid()}"
+    with tempfile.TemporaryDirectory() as folder, node_process(["-r", f"__node:={name}", *options.ros]) as node:
+        assert node.stderr is not None
+        next(line for line in node.stderr if "wall time, grippers" in line)
+        starts = [measure_viewer(f"/{name}", Path(folder)) for _ in range(options.starts)]
+    median = float(np.median([start.wall for start in starts]))
+    figures: dict[str, Any] = {
+        "first_surface_s": [round(start.wall, 3) for start in starts],
+        "first_surface_median_s": round(median, 3),
+        "frame_bytes": round(starts[-1].frame_bytes),
+        "triangle_bytes_once": starts[-1].triangle_bytes,
+        "load_average": round(os.getloadavg()[0], 2),
+        "goal_s": GOAL,
+        "met": median < GOAL,
+    }
+    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
+    return 0 if figures["met"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
