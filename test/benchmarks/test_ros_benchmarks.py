@@ -44,6 +44,16 @@ def test_start_time_ends_at_the_first_cloud():
     assert min(figures["answers_after_s"]) >= 0.0
 
 
+def test_viewer_figures_are_of_its_surface():
+    pytest.importorskip("rerun")
+    figures = run_measurement("ros-viewer", "--starts", "1", "--ros", "-p", "cloth.resolution:=[5, 4]")
+    assert len(figures["first_surface_s"]) == 1
+    assert figures["met"] == (figures["first_surface_median_s"] < figures["goal_s"])
+    # Position, normal and colour of each particle, and 12 bytes for each triangle.
+    assert 20 * 28 <= figures["frame_bytes"] < 20 * 28 + 200
+    assert 24 * 12 <= figures["triangle_bytes_once"] < 24 * 12 + 200
+
+
 def test_idle_node_reports_its_added_frame_time():
     figures = run_measurement("ros-node", "idle", "--seconds", "0.5", "--settle", "0.2", "--resolution", "5")
     for how in ("at rest", "swinging"):
