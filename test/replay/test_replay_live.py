@@ -14,6 +14,7 @@ from support.rrd import rows
 from support.session_maker import cloud_bytes
 
 from cloth_sim_ros.replay import live_main
+from cloth_sim_ros.replay.blueprint import make_blueprint
 from cloth_sim_ros.replay.live import CHANGED, PARAMETERS, LiveView
 from cloth_sim_ros.session.cdr import encode, message_class
 from cloth_sim_ros.session.messages import mesh_bytes, point_bytes, pose_bytes, wrench_bytes
@@ -237,6 +238,16 @@ def test_surface_with_missing_particles_is_not_shown(tmp_path: Path) -> None:
     node.clock(1.0)
     assert not node.view.is_showing
     assert node.sentences == ["a cloud is not shown: a triangle of the topology names particle 99, and there are 12"]
+
+
+def test_viewer_keeps_the_newest_frame_in_view(tmp_path: Path) -> None:
+    node = Node(tmp_path)
+    node.start()
+    node.points()
+    node.clock(1.0)
+    panel = make_blueprint(node.scans[0], following=True).time_panel
+    # In a loop the viewer would play from the first frame on.
+    assert (panel.play_state, panel.loop_mode) == ("following", "off")
 
 
 def test_missing_rerun_is_named_with_the_remedy(

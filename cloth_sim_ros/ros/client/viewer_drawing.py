@@ -63,15 +63,15 @@ def finish_drawing(drawing: subprocess.Popen[bytes]) -> None:
 
 def _without_ros(arguments: Sequence[str]) -> list[str]:
     """Return the arguments outside of `--ros-args ... --`."""
-    kept, is_ros = [], False
+    outside, is_ros = [], False
     for argument in arguments:
         if argument == "--ros-args":
             is_ros = True
         elif is_ros and argument == "--":
             is_ros = False
         elif not is_ros:
-            kept.append(argument)
-    return kept
+            outside.append(argument)
+    return outside
 
 
 def _parser() -> argparse.ArgumentParser:
