@@ -46,7 +46,10 @@ def start_drawing(options: argparse.Namespace) -> subprocess.Popen[bytes]:
     _, *module = module_command("cloth_sim_ros.replay.live_main", *arguments)
     # In a session of its own: Ctrl-C ends this process, which ends the pipe.
     return subprocess.Popen(
-        [str(options.python), *module], stdin=subprocess.PIPE, env=child_environment(), start_new_session=True
+        [str(options.python or sys.executable), *module],
+        stdin=subprocess.PIPE,
+        env=child_environment(),
+        start_new_session=True,
     )
 
 
@@ -88,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
         "--strain-limit", metavar="PERCENT", type=float, default=5.0, help="strain of the last colour; default: 5"
     )
     parser.add_argument(
-        "--python", metavar="PATH", type=Path, default=sys.executable,
+        "--python", metavar="PATH", type=Path, default=None,
         help="Python that has cloth_sim_ros[replay]; default: the one that runs this command",
     )  # fmt: skip
     return parser
