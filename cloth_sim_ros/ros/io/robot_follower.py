@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rclpy.node import Node
@@ -26,6 +26,9 @@ from cloth_sim_ros.scene.robot_section import JOINT_STATES
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, MoveObstacles
 from cloth_sim_ros.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
 #: Silence of the joint states after which the log says that the links stand [ns].
 _SILENCE = 1_000_000_000
@@ -63,6 +66,11 @@ class RobotFollower:
         self._settings = simulation.scene.robot
         self._needs_poll = bool(self._settings.frame) or self._settings.source != JOINT_STATES
         self._poses: Array = np.array([_start_pose(simulation, name) for name in links.names]).reshape(-1, 7)
+        self._stops: PadStops | None = None
+        if any(self._settings.pads):
+            from cloth_sim_ros.scene.robot.pad_stops import PadStops
+
+            self._stops = PadStops(simulation.scene, links)
         #: ROS time of the newest state [ns]; 0 before the first.
         self._last_state = 0
         self._is_silent = self._is_lost = False
@@ -94,7 +102,8 @@ class RobotFollower:
         if not (is_changed or self._needs_poll):
             return []
         try:
-            poses = link_poses(self._links, self._states, self._frames, self._settings)
+            positions = self._states.positions if self._stops is None else self._stops.stopped(self._states.positions)
+            poses = link_poses(self._links, positions, self._frames, self._settings)
             if np.array_equal(poses, self._poses):
                 return []
             event = self._event(poses)

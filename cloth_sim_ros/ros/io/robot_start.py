@@ -102,7 +102,8 @@ class RobotStart:
         def look_up() -> bool:
             nonlocal reason
             try:
-                poses.append(link_poses(links, self.states, self.frames, settings))
+                assert self.frames is not None
+                poses.append(link_poses(links, self.states.positions, self.frames, settings))
             except FrameError as error:
                 reason = str(error)
             return bool(poses)
@@ -175,18 +176,15 @@ class RobotStart:
             executor.shutdown()
 
 
-def link_poses(
-    links: RobotLinks, states: JointStates, frames: FrameTransformer | None, settings: RobotParameters
-) -> Array:
+def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, settings: RobotParameters) -> Array:
     """Return the poses of the links' obstacles in the cloth's frame, shape (count, 7).
 
     Raises:
         FrameError: if TF lacks a frame.
     """
-    assert frames is not None
     if settings.source == TF:
         return links.poses_from_links({link: _transform(frames, link) for link in dict.fromkeys(links.links)})
-    return links.poses(states.positions, mount_of(frames, settings))
+    return links.poses(positions, mount_of(frames, settings))
 
 
 def mount_of(frames: FrameTransformer, settings: RobotParameters) -> Array | None:
