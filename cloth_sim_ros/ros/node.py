@@ -225,6 +225,7 @@ class ClothNode:
             return
         if self.stepper.refused_parameters:
             self.inputs.return_parameters(self.stepper.refused_parameters)
+        self.inputs.observe(frame)
         self.reporting.observe(frame, self.stepper.trouble)
         if self.outputs.must_publish(frame, start):
             self.recording.session.add_frame(frame, tick.stamp)

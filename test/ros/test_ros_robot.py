@@ -20,6 +20,7 @@ from support.robots import ARM, ARM_JOINTS, robot_scene
 from support.ros_client import Client
 
 from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.verify.run import verify
 
 AT: dict[str, Any] = {"robot.enabled": True, "robot.position": [1.1, 0.0, 0.5]}
@@ -70,6 +71,12 @@ def arm(client: Client, positions: Any, values: dict[str, Any]) -> Iterator[Cloc
     """A cloth beside an arm that stood at joint positions while the node started."""
     with repeated(client, state(positions)):
         cloth = ClockedCloth(client, {**AT, **values})
+    # States of the start that are still on their way would count as those of a test.
+    commands, received = cloth.node.inputs.commands, -1
+    while received != commands.received:
+        received = commands.received
+        for _ in range(5):
+            client.executor.spin_once(timeout_sec=0.02)
     with cloth:
         yield cloth
 
@@ -176,6 +183,19 @@ def test_link_in_the_cloth_refuses_the_start(client: Client, description: str) -
         pytest.raises(ValueError, match=r"obstacle 'base' comes through the cloth|is inside obstacle"),
     ):
         ClockedCloth(client, values)
+
+
+def test_reset_leaves_links_where_the_robot_is(client: Client, description: str) -> None:
+    with arm(client, (0.1, 0.2, 0.3, 0.01), {"robot.description_file": description}) as cloth:
+        cloth.tick()
+        send(cloth, state((0.2, 0.2, 0.3, 0.01)))
+        cloth.tick()
+        there = poses(cloth)
+        cloth.node.stepper.queue.put(Reset())
+        cloth.tick()
+        assert not np.array_equal(poses(cloth), there), "a reset restores obstacles"
+        cloth.tick(2)
+        assert np.array_equal(poses(cloth), there)
 
 
 def test_recorded_session_runs_again_without_description(client: Client, description: str, tmp_path: Path) -> None:

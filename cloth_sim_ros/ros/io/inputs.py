@@ -19,6 +19,7 @@ from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, SetParameters
+from cloth_sim_ros.simulation.simulation import Frame
 
 if TYPE_CHECKING:
     from cloth_sim_ros.ros.io.robot_follower import RobotFollower
@@ -79,6 +80,11 @@ class Inputs:
         """
         of_links = [] if self._robot is None else self._robot.events(now)
         return [*of_links, *self.tf_follower.events(stamp)]
+
+    def observe(self, frame: Frame) -> None:
+        """Observe a frame: a robot's links may have to be commanded anew."""
+        if self._robot is not None:
+            self._robot.observe(frame)
 
     def return_parameters(self, reason: str) -> None:
         """Set the parameters back to those in force, because accepted ones could not take effect."""

@@ -24,8 +24,8 @@ from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.robot.links import RobotLinks
 from cloth_sim_ros.scene.robot_section import JOINT_STATES
 from cloth_sim_ros.simulation.event_checks import EventError
-from cloth_sim_ros.simulation.events import Event, MoveObstacles
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event, MoveObstacles, Reset, SetParameters
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.robot.pad_stops import PadStops
@@ -73,6 +73,8 @@ class RobotFollower:
             self._stops = PadStops(simulation.scene, links)
         #: ROS time of the newest state [ns]; 0 before the first.
         self._last_state = 0
+        #: True if the next frame has to command the links anew; the same from the next state on.
+        self._must_send = self._resends = False
         self._is_silent = self._is_lost = False
         frames.link_pose = self.link_pose
 
@@ -99,12 +101,13 @@ class RobotFollower:
         """Return the event that moves the links in the frame due at a ROS time [ns]; none if they stand."""
         is_changed = self._states.apply(now)
         self._report_silence(now)
-        if not (is_changed or self._needs_poll):
+        must_send, self._must_send = self._must_send, False
+        if not (is_changed or self._needs_poll or must_send):
             return []
         try:
             positions = self._states.positions if self._stops is None else self._stops.stopped(self._states.positions)
             poses = link_poses(self._links, positions, self._frames, self._settings)
-            if np.array_equal(poses, self._poses):
+            if np.array_equal(poses, self._poses) and not must_send:
                 return []
             event = self._event(poses)
             if event.obstacles:
@@ -118,6 +121,12 @@ class RobotFollower:
             self._log.info("robot found", "the robot's links move again")
         self._poses = poses
         return [event] if event.obstacles else []
+
+    def observe(self, frame: Frame) -> None:
+        """Command the links anew after a reset or a change of obstacles, and after a stop with the next state."""
+        if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
+            self._must_send = True
+        self._resends = self._resends or bool(frame.stopped)
 
     def link_pose(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...], int] | None:
         """Return position [m], orientation and stamp [ns] of a link by name; None for other names, and with TF."""
@@ -152,6 +161,7 @@ class RobotFollower:
             stamp = checked(message.header.stamp.sec, message.header.stamp.nanosec)
             if self._states.add(message.name, message.position, stamp, now):
                 self._last_state = now
+                self._must_send, self._resends = self._must_send or self._resends, False
         except OldStampError as error:
             self._commands.outdated += 1
             self._log.warn("joint state old", f"a joint state is dropped: {error}")
