@@ -16,7 +16,7 @@ NAMES = ["shoulder", "elbow", "wrist", "finger"]
 #: Lengths from shoulder to elbow and from elbow to fingertips, and the shoulder's place (x, z) [m].
 UPPER, FORE, SHOULDER = 0.3, 0.395, (0.7, 0.45)
 #: Time [s], place of the fingertips (x, z) [m], distance of each finger from the middle [m].
-WAY = np.array(
+WAYPOINTS = np.array(
     [
         (0.0, 0.43, 0.72, 0.03),
         (1.0, 0.43, 0.72, 0.03),
@@ -30,7 +30,7 @@ WAY = np.array(
 
 def joints(t: float) -> list[float]:
     """Return the positions of the joints at a time [s]: [rad], and [m] for the finger."""
-    x, z, finger = (float(np.interp(t, WAY[:, 0], WAY[:, k])) for k in (1, 2, 3))
+    x, z, finger = (float(np.interp(t, WAYPOINTS[:, 0], WAYPOINTS[:, k])) for k in (1, 2, 3))
     dx, dz = x - SHOULDER[0], z - SHOULDER[1]
     bend = math.acos((dx * dx + dz * dz - UPPER**2 - FORE**2) / (2.0 * UPPER * FORE))
     shoulder = math.atan2(dx, dz) + math.atan2(FORE * math.sin(bend), UPPER + FORE * math.cos(bend))
@@ -44,7 +44,7 @@ def main() -> None:
     states = node.create_publisher(JointState, "/joint_states", 10)
     while not states.get_subscription_count():  # the cloth waits for the first state
         time.sleep(0.1)
-    for k in range(200 * int(WAY[-1, 0]) + 1):
+    for k in range(200 * int(WAYPOINTS[-1, 0]) + 1):
         message = JointState(name=NAMES, position=joints(k / 200))
         message.header.stamp = node.get_clock().now().to_msg()
         states.publish(message)

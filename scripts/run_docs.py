@@ -33,7 +33,7 @@ import attrs
 from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = ["README.md", *(f"docs/tutorials/{name}.md" for name in ("grasp", "mesh", "session", "library"))]
+PAGES = ["README.md", *(f"docs/tutorials/{name}.md" for name in ("grasp", "robot", "mesh", "session", "library"))]
 PAGES += ["CONTRIBUTING.md"]
 RUNS = ("bash", "python")
 #: Time limit of a block [s]; `make test` from a clean clone takes longest.

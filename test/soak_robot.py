@@ -95,19 +95,19 @@ def start(rng: np.random.Generator) -> tuple[Simulation, RobotLinks]:
     return Simulation(scene), links
 
 
-def least_gap(simulation: Simulation) -> float:
-    """Return the least gap of points of the cloth to the links [m], negative inside."""
+def min_gap(simulation: Simulation) -> float:
+    """Return the smallest gap of points of the cloth to the links [m], negative inside."""
     assert simulation.obstacles is not None
     x, anchored = simulation.positions, simulation.scene.anchored_particles()
     triangles = simulation.scene.sheet.triangles()
     corners = x[triangles[~np.isin(triangles, anchored).any(axis=1)]]
     points = np.concatenate([np.delete(x, anchored, axis=0), np.einsum("wc,tcd->twd", WEIGHTS, corners).reshape(-1, 3)])
     thickness = simulation.scene.contact.thickness
-    least = math.inf
+    smallest = math.inf
     for solid, pose in zip(simulation.obstacles.solids, simulation.obstacles.poses(), strict=True):
         inset = 0.05 * thickness if solid.shape == "cylinder" else 0.0
-        least = min(least, float(gaps(solid, pose, points.T, max_distance=thickness).min()) + inset)
-    return least
+        smallest = min(smallest, float(gaps(solid, pose, points.T, max_distance=thickness).min()) + inset)
+    return smallest
 
 
 def _run(run: int, rng: np.random.Generator, totals: Totals, motions: int) -> None:
@@ -120,7 +120,7 @@ def _run(run: int, rng: np.random.Generator, totals: Totals, motions: int) -> No
         for k in range(min(n_frames, round(0.5 * RATE))):
             positions = begin + (k + 1) / n_frames * (target - begin)
             frame = simulation.advance([MoveObstacles(links.names, links.poses(positions))])
-            gap = least_gap(simulation)
+            gap = min_gap(simulation)
             totals.frames += 1
             totals.in_contact += gap < simulation.scene.contact.thickness
             totals.stopped += bool(frame.stopped)

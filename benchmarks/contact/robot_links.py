@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Time frames of the default cloth without obstacles, and beside links that stand and move."""
     report = Report("Links of a robot", "python -m benchmarks robot-links")
-    far = {"robot.position": [4.0, 0.0, 0.0], "robot.links": [f"l{k + 1}" for k in range(_JOINTS)]}
-    scene, links = robot_scene(chain(_JOINTS, _SHAPES), far)
+    values = {"robot.position": [4.0, 0.0, 0.0], "robot.links": [f"l{k + 1}" for k in range(_JOINTS)]}
+    scene, links = robot_scene(chain(_JOINTS, _SHAPES), values)
     box = {"obstacles": ["box"], "box.shape": "box", "box.position": [4.0, 0.0, 0.0]}
     runs = {
         "no obstacle": _Run(Simulation(Scene())),

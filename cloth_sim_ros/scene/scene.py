@@ -315,7 +315,7 @@ class Scene:
         return [name for name in self.obstacle_names if self.described[name].link]
 
     @property
-    def own_described(self) -> list[str]:
+    def unlinked_names(self) -> list[str]:
         """Names of the described obstacles that are no links of a robot, and therefore have topics."""
         return [name for name, obstacle in self.described.items() if not obstacle.link]
 

@@ -124,8 +124,8 @@ _BEFORE_OTHERS = (Target, Move, MoveObstacles, Grasp)
 def ordered(events: list[Event]) -> list[Event]:
     """Return events in the order in which a frame applies them.
 
-    First the newest target of each gripper, then moves of several obstacles in order of arrival, then the newest target
-    of each obstacle, then grasps, then other events, both in order of arrival.
+    First the newest target of each gripper, then moves of several obstacles. The newest target of each obstacle is
+    next, then grasps, then other events. Events of one kind keep their order of arrival.
     """
     if len(events) < 2:
         return events

@@ -62,7 +62,7 @@ class CommandCheck:
         self._findings, self._frame_id, self._node = findings, scene.frame_id, node
         self._grippers = frozenset(scene.gripper_names)
         bodies = [(name, leaf) for name in scene.gripper_names for leaf in _READERS]
-        bodies += [(name, leaf) for name in scene.own_described for leaf in ("target", "point")]
+        bodies += [(name, leaf) for name in scene.unlinked_names for leaf in ("target", "point")]
         self._kinds = {f"{node}/{name}/{leaf}": (name, leaf) for name, leaf in bodies}
         #: Bodies that are not compared, with the reason: received commands alone do not move them.
         self._untracked = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}

@@ -48,7 +48,7 @@ class FrameOutputCheck:
         scene = simulation.scene
         self._points, self._topology = f"{node}/points", f"{node}/topology"
         self._state_topic, self._marker_topic = f"{node}/state", f"{node}/obstacles"
-        self._wrenches = {name: f"{node}/{name}/wrench" for name in (*scene.gripper_names, *scene.own_described)}
+        self._wrenches = {name: f"{node}/{name}/wrench" for name in (*scene.gripper_names, *scene.unlinked_names)}
         self._grippers = {f"{node}/{name}/state": name for name in scene.gripper_names}
         self._clouds = outputs.CloudCheck(scene, findings)
         self._states = StateCheck(findings)
@@ -94,7 +94,7 @@ class FrameOutputCheck:
         """Begin a frame of the re-run that was due at a ROS time [ns]; its messages follow."""
         simulation = self._simulation
         scene = simulation.scene
-        for name in scene.own_described:
+        for name in scene.unlinked_names:
             if name in scene.obstacle_names and name not in self._wrenches:
                 self._add_wrench(name)
         self._frame, self._stamp = frame, stamp

@@ -190,12 +190,12 @@ def test_reset_leaves_links_where_the_robot_is(client: Client, description: str)
         cloth.tick()
         send(cloth, state((0.2, 0.2, 0.3, 0.01)))
         cloth.tick()
-        there = poses(cloth)
+        expected = poses(cloth)
         cloth.node.stepper.queue.put(Reset())
         cloth.tick()
-        assert not np.array_equal(poses(cloth), there), "a reset restores obstacles"
+        assert not np.array_equal(poses(cloth), expected), "a reset restores obstacles"
         cloth.tick(2)
-        assert np.array_equal(poses(cloth), there)
+        assert np.array_equal(poses(cloth), expected)
 
 
 def test_recorded_session_runs_again_without_description(client: Client, description: str, tmp_path: Path) -> None:

@@ -114,8 +114,8 @@ def test_named_links_are_kept_with_names_of_their_own() -> None:
     assert scene.obstacle_names == ["hand", "hand_0"]
     assert scene.link_names == ["hand_0"]
     assert scene.described["hand_0"].link == "hand"
-    many = robot_scene(chain(1, 3), {"robot.links": ["l1"], **AT})[1]
-    assert many.names == ("l1_0", "l1_1", "l1_2")
+    several = robot_scene(chain(1, 3), {"robot.links": ["l1"], **AT})[1]
+    assert several.names == ("l1_0", "l1_1", "l1_2")
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ class Inputs:
         return [*of_links, *self.tf_follower.events(stamp)]
 
     def observe(self, frame: Frame) -> None:
-        """Observe a frame: a robot's links may have to be commanded anew."""
+        """Observe a frame: the command of a robot's links may have to be repeated."""
         if self._robot is not None:
             self._robot.observe(frame)
 

@@ -60,8 +60,8 @@ class JointStates:
         if key not in self._publishers:
             if len(self._publishers) >= _MAX_PUBLISHERS:
                 self._publishers.clear()
-            found = [(k, self._indices[name]) for k, name in enumerate(key) if name in self._indices]
-            of_message, of_joints = (np.array([pair[side] for pair in found], dtype=np.int64) for side in (0, 1))
+            matches = [(k, self._indices[name]) for k, name in enumerate(key) if name in self._indices]
+            of_message, of_joints = (np.array([pair[k] for pair in matches], dtype=np.int64) for k in (0, 1))
             self._publishers[key] = of_message, of_joints, StampGate()
         of_message, of_joints, gate = self._publishers[key]
         if not len(of_message):
@@ -80,12 +80,12 @@ class JointStates:
         """Apply the states that are due at a ROS time [ns], by stamp. Return True if a position changed."""
         if not self._waiting:
             return False
-        due = sorted((state for state in self._waiting if state[0] <= now), key=lambda state: state[0])
-        if not due:
+        ready = sorted((state for state in self._waiting if state[0] <= now), key=lambda state: state[0])
+        if not ready:
             return False
         self._waiting = [state for state in self._waiting if state[0] > now]
         before, known = self.positions.copy(), self.is_known.all()
-        for stamp, of_joints, values in due:
+        for stamp, of_joints, values in ready:
             self.positions[of_joints] = values
             self.is_known[of_joints] = True
             self.stamp = max(self.stamp, stamp)

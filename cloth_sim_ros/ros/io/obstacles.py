@@ -82,7 +82,7 @@ class ObstacleTopics:
                 f"'{name}' lags behind its target: the speed of obstacles is limited to {obstacles.speed:g} m/s, "
                 "so that they do not pass through the cloth",
             )
-        for k in obstacles.own_indices:
+        for k in obstacles.unlinked_indices:
             load, output = frame.obstacle_wrenches[k], self._wrenches[obstacles.names[k]]
             if output.has_consumers:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
@@ -140,7 +140,7 @@ class ObstacleTopics:
     def update_topics(self, stamp: int) -> None:
         """Create and remove topics so that they match the present obstacles, and publish at a ROS time [ns]."""
         obstacles, scene = self._simulation.obstacles, self._simulation.scene
-        names = [] if obstacles is None else [obstacles.names[k] for k in obstacles.own_indices]
+        names = [] if obstacles is None else [obstacles.names[k] for k in obstacles.unlinked_indices]
         solids, _ = self._solids()
         drawn = [solid.name for solid in solids]
         if not drawn and not self._drawn:

@@ -53,9 +53,9 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
     out = ["~/points", "~/topology", "~/mesh", "~/state", "~/clock", "/diagnostics", "/tf"]
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
-    out += [f"~/{name}/wrench" for name in scene.own_described]
+    out += [f"~/{name}/wrench" for name in scene.unlinked_names]
     into = [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("target", "point", "grasp")]
-    into += [f"~/{name}/target" for name in scene.own_described]
+    into += [f"~/{name}/target" for name in scene.unlinked_names]
     into += [scene.robot.joint_states_topic] if scene.robot.enabled else []
     return {PUBLISHER: out, SUBSCRIPTION: into}
 

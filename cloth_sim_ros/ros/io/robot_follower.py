@@ -73,9 +73,9 @@ class RobotFollower:
             self._stops = PadStops(simulation.scene, links)
         #: ROS time of the newest state [ns]; 0 before the first.
         self._last_state = 0
-        #: True if the next frame has to command the links anew; the same from the next state on.
+        #: True if the next frame has to repeat the command of the links; the same from the next state on.
         self._must_send = self._resends = False
-        self._is_silent = self._is_lost = False
+        self._is_silent = self._has_failed = False
         frames.link_pose = self.link_pose
 
     def subscribe(self) -> None:
@@ -113,17 +113,17 @@ class RobotFollower:
             if event.obstacles:
                 self._simulation.check(event)
         except (FrameError, EventError) as error:
-            self._is_lost = True
+            self._has_failed = True
             self._log.warn("robot", f"the robot's links stay where they are: {error}")
             return []
-        if self._is_lost:
-            self._is_lost = False
+        if self._has_failed:
+            self._has_failed = False
             self._log.info("robot found", "the robot's links move again")
         self._poses = poses
         return [event] if event.obstacles else []
 
     def observe(self, frame: Frame) -> None:
-        """Command the links anew after a reset or a change of obstacles, and after a stop with the next state."""
+        """Repeat the command of the links after a reset or a change of obstacles, or with a new state after a stop."""
         if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
             self._must_send = True
         self._resends = self._resends or bool(frame.stopped)
@@ -145,8 +145,8 @@ class RobotFollower:
         names, present = self._links.names, self._simulation.scene.obstacles
         if set(names) <= set(present):
             return MoveObstacles(names, poses)
-        kept = [k for k, name in enumerate(names) if name in present]
-        return MoveObstacles([names[k] for k in kept], poses[kept])
+        indices = [k for k, name in enumerate(names) if name in present]
+        return MoveObstacles([names[k] for k in indices], poses[indices])
 
     def _receive(self, data: bytes, now: int) -> None:
         try:

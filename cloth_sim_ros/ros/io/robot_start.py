@@ -99,7 +99,7 @@ class RobotStart:
         poses: list[Array] = []
         reason = ""
 
-        def look_up() -> bool:
+        def find_poses() -> bool:
             nonlocal reason
             try:
                 assert self.frames is not None
@@ -109,7 +109,7 @@ class RobotStart:
             return bool(poses)
 
         if settings.source == TF:
-            self._wait(look_up, lambda: f"waiting for the TF frames of the robot's links: {reason}")
+            self._wait(find_poses, lambda: f"waiting for the TF frames of the robot's links: {reason}")
             return poses[-1]
         subscription = self._node.create_subscription(
             JointState, settings.joint_states_topic, self._receive, JOINT_STATES_QOS
@@ -140,7 +140,7 @@ class RobotStart:
                 f"no joint state on {topic} names {', '.join(missing)}: these joints stay at 0, or at their limit "
                 "nearest to it, until one does"
             )
-        self._wait(look_up, lambda: f"waiting for the robot's mount (robot.frame): {reason}")
+        self._wait(find_poses, lambda: f"waiting for the robot's mount (robot.frame): {reason}")
         self._node.destroy_subscription(subscription)
         return poses[-1]
 

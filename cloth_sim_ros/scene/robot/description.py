@@ -185,7 +185,7 @@ def _joint(element: ElementTree.Element) -> Joint:
         raise ParameterError(f"{subject} of the robot has the axis {axis.tolist()}; it must not be 0")
     lower, upper, limit = -math.inf, math.inf, element.find("limit")
     if kind in ("revolute", "prismatic") and limit is not None:
-        lower, upper = (_numbers(limit, side, (0.0,), subject)[0] for side in ("lower", "upper"))
+        lower, upper = (_numbers(limit, bound, (0.0,), subject)[0] for bound in ("lower", "upper"))
     mimic, mimicked = None, element.find("mimic")
     if mimicked is not None and kind in (*ROTATING, *SLIDING):
         mimic = Mimic(
@@ -220,7 +220,7 @@ def _shape(collision: ElementTree.Element, link: str) -> CollisionShape:
             )
         if element.tag in _SIZES:
             size = tuple(
-                number for name, count in _SIZES[element.tag] for number in _sizes(element, name, count, subject)
+                entry for name, count in _SIZES[element.tag] for entry in _sizes(element, name, count, subject)
             )
             return CollisionShape(shape=str(element.tag), origin=origin, size=size)
     raise ParameterError(f"{subject} has no geometry that is known; give box, sphere, cylinder, capsule or mesh")
@@ -236,10 +236,10 @@ _SIZES = {
 
 
 def _sizes(element: ElementTree.Element, name: str, count: int, subject: str) -> Iterator[float]:
-    for number in _numbers(element, name, (math.nan,) * count, subject):
-        if not 0.0 < number < math.inf:
-            raise ParameterError(f"{subject} is a {element.tag} whose {name} is {number:g} m; it must be above 0")
-        yield number
+    for entry in _numbers(element, name, (math.nan,) * count, subject):
+        if not 0.0 < entry < math.inf:
+            raise ParameterError(f"{subject} is a {element.tag} whose {name} is {entry:g} m; it must be above 0")
+        yield entry
 
 
 def _origin(element: ElementTree.Element, subject: str) -> Array:

@@ -112,9 +112,12 @@ class Kinematics:
     def _travel(self, index: int) -> float:
         """Return the largest displacement of a sliding joint [m]; infinite without limits."""
         joint = self._joints[index]
-        source = next(other for other in self._joints if other.name == self.joint_names[self._source_indices[index]])
+        source = self._named(self.joint_names[self._source_indices[index]])
         ends = [self._multipliers[index] * end + self._offsets[index] for end in (source.lower, source.upper)]
         return min(max(map(abs, ends)), max(abs(joint.lower), abs(joint.upper)))
+
+    def _named(self, name: str) -> Joint:
+        return next(candidate for candidate in self._joints if candidate.name == name)
 
     def _source(self, joint: Joint) -> tuple[int, float, float]:
         """Return the index in `joint_names` of the joint that a joint follows, the multiplier and the offset."""
@@ -122,7 +125,7 @@ class Kinematics:
         while joint.mimic is not None:
             mimic = joint.mimic
             multiplier, offset = multiplier * mimic.multiplier, offset + multiplier * mimic.offset
-            joint = next(other for other in self._joints if other.name == mimic.joint)
+            joint = self._named(mimic.joint)
         return self.joint_names.index(joint.name), multiplier, offset
 
 

@@ -129,8 +129,8 @@ def add_links(
     Raises:
         ParameterError: for an invalid description or scene, or a mesh that can't be read; naming the remedy.
     """
-    own_values = without_links(values)
-    scene = Scene.from_parameters(own_values, files=files)
+    base_values = without_links(values)
+    scene = Scene.from_parameters(base_values, files=files)
     robot = parse(description)
     kinematics = Kinematics(robot)
     links, notes = _selected_links(scene, robot, kinematics)
@@ -140,11 +140,11 @@ def add_links(
             candidates += _obstacles_of(scene.robot, link, shape, Path(folder), notes)
     if scene.robot.links == ("",):
         candidates = _within_reach(scene, candidates, kinematics, notes)
-    taken = {*scene.gripper_names, *scene.described, *Scene.groups()}
+    used = {*scene.gripper_names, *scene.described, *Scene.groups()}
     added: dict[str, Any] = {}
     contents = dict(scene.files)
     obstacles = []
-    for candidate, name in zip(candidates, _names([entry.link for entry in candidates], taken), strict=True):
+    for candidate, name in zip(candidates, _names([entry.link for entry in candidates], used), strict=True):
         entries = {**candidate.values, "link": candidate.link, "friction": _friction(scene, candidate.link)}
         if candidate.mesh is not None:
             entries["mesh"] = f"{name}.obj"
@@ -153,7 +153,7 @@ def add_links(
         obstacles.append((name, candidate.link, candidate.origin))
     result = RobotLinks(robot, scene.robot, obstacles, notes)
     names = [*scene.obstacle_names, *result.names]
-    extended = {**own_values, **added, "obstacles": tuple(names) or ("",)}
+    extended = {**base_values, **added, "obstacles": tuple(names) or ("",)}
     return with_poses(extended, result, result.poses({})), contents, result
 
 
@@ -258,7 +258,7 @@ def _within_reach(
     """Return the obstacles that can come within reach of the cloth.
 
     The cloth is within a ball about its initial centre, unless a gripper carries it. A robot that reaches that ball can
-    carry cloth as far as its furthest link, so that with grippers all its links are kept that come there.
+    carry cloth as far as its furthest link. With grippers, all links that come there are therefore kept.
     """
     positions = scene.initial_positions()
     lower, upper = positions.min(axis=0), positions.max(axis=0)
@@ -267,9 +267,9 @@ def _within_reach(
     balls = []
     for candidate in candidates:
         body, placement = kinematics.placements[candidate.link]
-        place = (placement @ candidate.origin)[:3, 3]
-        ball = kinematics.reach(body, math.sqrt(float(place @ place)) + candidate.radius)
-        middle, radius = ball if body else (place, candidate.radius)
+        centre_of_shape = (placement @ candidate.origin)[:3, 3]
+        ball = kinematics.reach(body, math.sqrt(float(centre_of_shape @ centre_of_shape)) + candidate.radius)
+        middle, radius = ball if body else (centre_of_shape, candidate.radius)
         balls.append((mount[:3, :3] @ middle + mount[:3, 3], radius))
     if scene.robot.frame:
         # The mount is known to TF alone.
@@ -277,14 +277,14 @@ def _within_reach(
     zones = [(centre, _SWING_EXTENTS * extent)]
     if scene.gripper_names:
         zones += [(middle, radius + extent) for middle, radius in balls if _touches((middle, radius), zones[0])]
-    is_kept = [any(_touches(ball, zone) for zone in zones) for ball in balls]
-    left_out = sorted({entry.link for entry, kept in zip(candidates, is_kept, strict=True) if not kept})
+    is_near = [any(_touches(ball, zone) for zone in zones) for ball in balls]
+    left_out = sorted({entry.link for k, entry in enumerate(candidates) if not is_near[k]})
     if left_out:
         notes.append(
             f"links that cannot reach the cloth are no obstacles: {', '.join(left_out)}; name links in robot.links to "
             "keep them"
         )
-    return [entry for entry, kept in zip(candidates, is_kept, strict=True) if kept]
+    return [entry for k, entry in enumerate(candidates) if is_near[k]]
 
 
 def _touches(ball: tuple[Array, float], zone: tuple[Array, float]) -> bool:
@@ -296,9 +296,10 @@ def _friction(scene: Scene, link: str) -> tuple[float, ...]:
     return scene.gripper.friction if link in scene.robot.pads else scene.robot.friction
 
 
-def _names(links: Sequence[str], taken: Collection[str]) -> list[str]:
-    """Return a name for the obstacle of each link: valid in ROS, and not taken."""
-    used, names = set(taken), list[str]()
+def _names(links: Sequence[str], used: Collection[str]) -> list[str]:
+    """Return a name for the obstacle of each link: valid in ROS, and not used."""
+    names = list[str]()
+    used = set(used)
     for link in links:
         plain = re.sub(r"\W", "_", link, flags=re.ASCII)
         stem = plain if NAME.fullmatch(plain) else f"link_{plain}"

@@ -82,11 +82,11 @@ class PadStops:
         if distance > self._min_gap:
             return distance
         return min(
-            _least_gap(solid_b, poses[b], features_a, poses[a]), _least_gap(solid_a, poses[a], features_b, poses[b])
+            _min_gap_of(solid_b, poses[b], features_a, poses[a]), _min_gap_of(solid_a, poses[a], features_b, poses[b])
         )
 
 
-def _least_gap(solid: Obstacle, pose: Array, features: ObstacleFeatures, features_pose: Array) -> float:
+def _min_gap_of(solid: Obstacle, pose: Array, features: ObstacleFeatures, features_pose: Array) -> float:
     """Return the least gap between an obstacle and the points of another one's features [m]."""
     points = features.points @ rotation_matrix(features_pose[3:]).T + features_pose[:3]
     return float(solid.distance(to_body_frame(pose, points.T))[0].min()) - features.radius

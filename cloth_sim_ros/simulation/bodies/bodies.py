@@ -249,8 +249,8 @@ def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | N
     Returns:
         Bodies, and poses: position [m] and quaternion x, y, z, w, shape (count, 7).
     """
-    solids = [] if obstacles is None else [obstacles.solids[k] for k in obstacles.own_indices]
-    poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()[obstacles.own_indices]
+    solids = [] if obstacles is None else [obstacles.solids[k] for k in obstacles.unlinked_indices]
+    poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()[obstacles.unlinked_indices]
     if pinching is not None:
         placed_pads = pinching.placed_pads()
         solids += [pinching.boxes[k] for k in placed_pads]

@@ -54,7 +54,7 @@ class Obstacles:
         #: Lever arm of each obstacle's rotation for the speed limit [m].
         self._lever_arms = np.array([min(solid.bounding_radius, _MAX_LEVER_ARM) for solid in solids])
         #: Indices of the obstacles that are no links of a robot.
-        self.own_indices = [k for k, name in enumerate(self.names) if not descriptions[name].link]
+        self.unlinked_indices = [k for k, name in enumerate(self.names) if not descriptions[name].link]
         self._state = state
         self._bodies = KinematicBodies(_KIND, np.array([_start_pose(descriptions[name]) for name in self.names]), state)
 
@@ -133,8 +133,8 @@ class Obstacles:
     def _may_be_too_fast(self, duration: float) -> bool:
         """Return False if a bound shows that every obstacle reaches its target within the speed limit.
 
-        With the chord c between two unit quaternions of one hemisphere, the angle between them is 4 asin(c / 2), and
-        therefore at most pi c.
+        Let c be the chord between two unit quaternions of one hemisphere. The angle of their rotation is 4 asin(c / 2).
+        Therefore it is at most pi c.
         """
         poses, targets = self._bodies.array("pose"), self._bodies.array("target")
         if poses is targets:
