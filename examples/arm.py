@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint states of the arm of config/robot_arm.yaml: it takes the cloth's right edge between its fingers, and pulls it.
 
-Start the cloth first (`cloth_sim --ros-args --params-file config/robot_arm.yaml`), then this.
+Start the cloth first, as docs/tutorials/robot.md says, then this.
 """
 
 import math
