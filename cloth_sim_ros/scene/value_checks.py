@@ -23,6 +23,9 @@ class SceneValues(Protocol):
     def contact(self) -> sections.ContactParameters: ...
 
     @property
+    def robot(self) -> sections.RobotParameters: ...
+
+    @property
     def tolerance(self) -> float: ...
 
     @property
@@ -60,6 +63,7 @@ def check_values(scene: SceneValues) -> None:
     faults.collect(lambda: gripper_parameters.check_grippers(scene.individual, grippers))
     faults.collect(lambda: obstacles.check_names(names, scene.described, grippers, scene.groups()))
     faults.collect(lambda: obstacles.check_friction("contact.friction", scene.contact.friction))
+    faults.collect(lambda: obstacles.check_friction("robot.friction", scene.robot.friction))
     faults.refuse()
 
 
@@ -73,7 +77,11 @@ def _faults(scene: SceneValues) -> Iterator[str]:
         yield "frame_id is empty; name the coordinate frame, e.g. 'world'"
     if scene.tf.publish and "cloth" in scene.gripper_names:
         yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
-    try:
-        normalized(scene.cloth.orientation)
-    except ValueError as error:
-        yield f"cloth.orientation: {error}"
+    for name, orientation in (
+        ("cloth.orientation", scene.cloth.orientation),
+        ("robot.orientation", scene.robot.orientation),
+    ):
+        try:
+            normalized(orientation)
+        except ValueError as error:
+            yield f"{name}: {error}"

@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import attrs
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -19,6 +22,8 @@ from support.clocked_cloth import SECOND, ClockedCloth
 from support.robots import ARM, ARM_JOINTS, robot_scene
 from support.ros_client import Client
 
+from cloth_sim_ros.ros.io.robot_start import link_poses
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.verify.run import verify
@@ -183,6 +188,29 @@ def test_link_in_the_cloth_refuses_the_start(client: Client, description: str) -
         pytest.raises(ValueError, match=r"obstacle 'base' comes through the cloth|is inside obstacle"),
     ):
         ClockedCloth(client, values)
+
+
+def test_tf_without_tf2_is_refused_with_the_remedy(
+    client: Client, description: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    for values in ({"robot.source": "tf"}, {"robot.frame": "platform"}):
+        with pytest.raises(ParameterError, match=f"{next(iter(values))} needs tf2_ros.*sudo apt install"):
+            ClockedCloth(client, {**AT, "robot.description_file": description, **values})
+
+
+def test_poses_of_links_and_mount_come_from_tf() -> None:
+    scene, links = robot_scene(ARM, {**AT, "robot.frame": "platform"})
+    # Both frames are turned by 90 degrees about z, at x = 1 m.
+    half = 0.5**0.5
+    frames: Any = SimpleNamespace(newest=lambda frame: ((1.0, 0.0, 0.0), (0.0, 0.0, half, half), 0))
+    positions = np.zeros(4)
+    mounted = link_poses(links, positions, frames, scene.robot)
+    # (1.1, 0, 0.5) in the platform's frame is (1, 1.1, 0.5).
+    assert np.abs(mounted[0] - [1.0, 1.1, 0.5, 0.0, 0.0, half, half]).max() < 1e-15
+    by_tf = link_poses(links, positions, frames, attrs.evolve(scene.robot, source="tf"))
+    upper_arm = by_tf[links.names.index("upper_arm")]
+    assert np.abs(upper_arm - [1.0, 0.0, 0.15, 0.0, 0.0, half, half]).max() < 1e-15
 
 
 def test_reset_leaves_links_where_the_robot_is(client: Client, description: str) -> None:

@@ -228,3 +228,15 @@ def test_joint_of_several_degrees_of_freedom_is_reported() -> None:
     _, links = robot_scene(text, AT)
     assert links.joint_names == ("shoulder", "elbow", "finger")
     assert links.notes == ("joint 'wrist' of the robot has several degrees of freedom: it stays at 0",)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"robot.orientation": [0.0, 0.0, 0.0, 0.0]}, "robot.orientation: orientation"),
+        ({"robot.friction": [0.1, 0.2]}, "robot.friction is 0.1 at rest and 0.2 in motion"),
+    ],
+)
+def test_invalid_robot_parameter_is_named(values: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ParameterError, match=reason):
+        Scene.from_parameters(values)

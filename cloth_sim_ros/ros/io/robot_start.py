@@ -20,6 +20,7 @@ from cloth_sim_ros.ros.io.joint_states import JointStates
 from cloth_sim_ros.ros.io.messages import read_stamp
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.process.stopping import StopRequestedError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.robot.kinematics import transform_of
 from cloth_sim_ros.scene.robot.links import RobotLinks, add_links, read_description, with_poses, without_links
 from cloth_sim_ros.scene.robot_section import TF, RobotParameters
@@ -61,6 +62,7 @@ class RobotStart:
         """
         scene = Scene.from_parameters(without_links(values), files=files)
         settings = scene.robot
+        _check_tf(settings)
         folder = Path()
         if settings.description_file:
             description: bytes | str = read_description(settings.description_file)
@@ -174,6 +176,23 @@ class RobotStart:
         finally:
             executor.remove_node(self._node)
             executor.shutdown()
+
+
+def _check_tf(settings: RobotParameters) -> None:
+    """Refuse parameters that need tf2_ros if it is not installed.
+
+    Raises:
+        ParameterError: naming the parameter and the remedy.
+    """
+    if not settings.frame and settings.source != TF:
+        return
+    try:
+        import tf2_ros  # noqa: F401
+    except ImportError as error:
+        name = "robot.frame" if settings.frame else "robot.source"
+        raise ParameterError(
+            f"{name} needs tf2_ros, which is not installed: sudo apt install ros-jazzy-tf2-ros-py, or leave it out"
+        ) from error
 
 
 def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, settings: RobotParameters) -> Array:
