@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes of a robot's collision geometry: their files, and closed solids of them.
 
-An open mesh is replaced by the convex hulls of its connected pieces.
+An open mesh is replaced by the convex hulls of its connected pieces, or by its own.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from cloth_sim_ros.scene import input_file, mesh_file
 from cloth_sim_ros.scene.files import MAX_BYTES
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
+#: Largest number of pieces that become obstacles of their own.
+_MAX_PIECES = 8
 _PACKAGE, _FILE = "package://", "file://"
 
 
@@ -84,7 +86,12 @@ def load(uri: str, scale: tuple[float, ...], folder: Path) -> ConvexOrClosed:
     vertices, triangles = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
     if _is_solid(vertices, triangles):
         return ConvexOrClosed(parts=((vertices, triangles),))
-    parts = tuple(_hull(vertices[np.unique(piece)], uri) for piece in _pieces(triangles, len(vertices)))
+    parts = _hulls(vertices, triangles)
+    if not parts:
+        raise ParameterError(
+            f"the robot's mesh '{uri}' is open and flat, so it bounds no volume; give a solid, or leave its link out "
+            "(robot.links)"
+        )
     count = "its convex hull" if len(parts) == 1 else f"the convex hulls of its {len(parts)} pieces"
     return ConvexOrClosed(parts=parts, note=f"mesh '{uri}' is not closed: {count} stands for it")
 
@@ -114,12 +121,22 @@ def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]
     return [triangles[labels == label] for label in np.unique(labels)]
 
 
-def _hull(points: Array, uri: str) -> tuple[Array, NDArray[np.int64]]:
-    """Return the convex hull of points (m, 3) [m] as a closed mesh.
+def _hulls(vertices: Array, triangles: NDArray[np.int64]) -> tuple[tuple[Array, NDArray[np.int64]], ...]:
+    """Return the convex hulls of the pieces of a mesh.
 
-    Raises:
-        ParameterError: if the points lie in a plane.
+    The hull of the whole mesh replaces them if it has many pieces, or a flat one. Without volume there is none.
     """
+    pieces = _pieces(triangles, len(vertices))
+    if len(pieces) <= _MAX_PIECES:
+        hulls = [hull for piece in pieces if (hull := _hull(vertices[np.unique(piece)])) is not None]
+        if len(hulls) == len(pieces):
+            return tuple(hulls)
+    whole = _hull(vertices)
+    return () if whole is None else (whole,)
+
+
+def _hull(points: Array) -> tuple[Array, NDArray[np.int64]] | None:
+    """Return the convex hull of points (m, 3) [m] as a closed mesh; None if they lie in a plane."""
     from scipy.spatial import ConvexHull, QhullError
 
     # Joggled input gives triangles without flat ones; it is the fallback, because it moves the vertices by rounding.
@@ -136,7 +153,4 @@ def _hull(points: Array, uri: str) -> tuple[Array, NDArray[np.int64]]:
         vertices, triangles = points[used], compact.reshape(-1, 3).astype(np.int64)
         if _is_solid(vertices, triangles):
             return np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
-    raise ParameterError(
-        f"the robot's mesh '{uri}' is open and flat, so it bounds no volume; give a solid, or leave its link out "
-        "(robot.links)"
-    )
+    return None
