@@ -166,7 +166,9 @@ def test_closed_mesh_is_kept_and_scaled(tmp_path: Path) -> None:
     )
     solid = scene.solids[0]
     assert solid.vertices is not None
-    assert solid.vertices.min(axis=0).tolist() == [0.0, -0.2, 0.0]
+    # The obstacle's frame is in the middle of the mesh.
+    assert solid.vertices.min(axis=0).tolist() == [-0.05, -0.1, -0.05]
+    assert scene.described["body"].position == (0.05, -0.1, 0.05)
 
 
 def test_open_mesh_becomes_its_convex_hull_and_says_so(tmp_path: Path) -> None:

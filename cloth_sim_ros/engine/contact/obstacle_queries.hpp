@@ -79,6 +79,10 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
             for (std::int64_t first = 0; first < plan.count; first += contact_block) {
                 const Block<double> block = blocks.at(first);
+                if constexpr (shape.value == Shape::mesh) {
+                    const auto bound = bound_block(posed, contacts.obstacles[obstacle], block);
+                    if (bound.gap > widest(bound.speed)) continue;
+                }
                 const auto result =
                     scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0).result();
                 if (result.gap < widest(result.speed)) visit(obstacle, first, shape, posed, block);

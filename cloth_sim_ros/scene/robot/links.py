@@ -21,7 +21,7 @@ from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene.parameters.declare import NAME, ParameterError
 from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
 from cloth_sim_ros.scene.robot import collision_meshes
-from cloth_sim_ros.scene.robot.description import CollisionShape, RobotDescription, parse
+from cloth_sim_ros.scene.robot.description import CollisionShape, RobotDescription, parse, transform
 from cloth_sim_ros.scene.robot.kinematics import Kinematics, poses_of, transform_of
 from cloth_sim_ros.scene.robot_section import RobotParameters
 from cloth_sim_ros.scene.scene import Scene
@@ -240,16 +240,21 @@ def _obstacles_of(
     mesh = collision_meshes.load(shape.mesh, shape.scale, folder)
     if mesh.note:
         notes.append(f"link '{link}': {mesh.note}")
-    return [
-        _LinkObstacle(
-            link=link,
-            values={"shape": "mesh"},
-            origin=shape.origin,
-            radius=math.sqrt(float((vertices * vertices).sum(axis=1).max())),
-            mesh=(vertices, triangles),
+    obstacles = []
+    for vertices, triangles in mesh.parts:
+        # The bounding sphere, which decides if an obstacle is far, is smallest about the middle.
+        centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+        centred = vertices - centre
+        obstacles.append(
+            _LinkObstacle(
+                link=link,
+                values={"shape": "mesh"},
+                origin=shape.origin @ transform(centre, np.eye(3)),
+                radius=math.sqrt(float((centred * centred).sum(axis=1).max())),
+                mesh=(centred, triangles),
+            )
         )
-        for vertices, triangles in mesh.parts
-    ]
+    return obstacles
 
 
 def _within_reach(
