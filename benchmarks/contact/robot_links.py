@@ -66,8 +66,11 @@ class _Run:
         self._simulation, self._links = simulation, links
         for _ in range(_WARM_UP):
             self._advance()
+        self._snapshot = simulation.snapshot()
 
     def __call__(self) -> None:
+        # The same frames in each turn: the cloth would fall asleep.
+        self._simulation.restore(self._snapshot)
         for _ in range(_FRAMES):
             self._advance()
 
