@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rclpy.clock import Clock, ClockType
 
@@ -31,6 +31,9 @@ from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.io.robot_start import RobotStart
 
 
 class ClothNode:
@@ -61,7 +64,8 @@ class ClothNode:
         **options: Any,
     ) -> None:
         self.node = parameters.SceneNode(name, **options)
-        scene = parameters.declare(self.node)
+        robot = self._robot_start(signal_name or str)
+        scene = parameters.declare(self.node, extend=None if robot is None else robot.extend)
         log = ThrottledLog(self.node.get_logger())
         log.flush()
         simulation = Simulation(scene)
@@ -86,7 +90,7 @@ class ClothNode:
             record_latched=lambda stamp: self.outputs.record_latched(stamp),
             refusal=lambda: self.failure.refusal,
         )
-        self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log)
+        self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log, robot)
         self.outputs = Outputs(self.node, simulation, self.inputs.commands, session, log)
         if scene.record.topics:
             self._add_bag_topics(session)
@@ -100,6 +104,14 @@ class ClothNode:
             "/diagnostics": lambda *_: self.reporting.diagnostics.send(),
             "the session": self.recording.fail,
         }
+
+    def _robot_start(self, signal_name: Callable[[], str]) -> RobotStart | None:
+        """Return what waits for the robot and its links; None without `robot.enabled`."""
+        if self.node.get_parameter_or("robot.enabled").value is not True:
+            return None
+        from cloth_sim_ros.ros.io.robot_start import RobotStart
+
+        return RobotStart(self.node, signal_name)
 
     @property
     def simulation(self) -> Simulation:
@@ -218,12 +230,14 @@ class ClothNode:
         first, last = self.timing.clock_pause.events(stands=tick.stands)
         self.recording.session.before_frame(tick.stamp)
         self.reporting.accuracy.before_frame()
-        first += [*self.inputs.events(tick.stamp), *self.timing.governor.events()]
-        frame = self.stepper.advance(max(tick.stamp, tick.now), first, last=last)
+        now = max(tick.stamp, tick.now)
+        first += [*self.inputs.events(tick.stamp, now), *self.timing.governor.events()]
+        frame = self.stepper.advance(now, first, last=last)
         if frame is None:
             return
         if self.stepper.refused_parameters:
             self.inputs.return_parameters(self.stepper.refused_parameters)
+        self.inputs.observe(frame)
         self.reporting.observe(frame, self.stepper.trouble)
         if self.outputs.must_publish(frame, start):
             self.recording.session.add_frame(frame, tick.stamp)

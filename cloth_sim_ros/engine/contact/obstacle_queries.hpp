@@ -60,7 +60,7 @@ private:
 };
 
 /// Call visit(obstacle, first, shape, posed, block) for each block of particles near an obstacle, unless
-/// skips(obstacle, posed). A block is near if its least gap is below widest(speed) [m], where `speed` is the largest
+/// skips(obstacle, posed) or, before the pose is computed, skips(obstacle). A block is near if its least gap is below widest(speed) [m], where `speed` is the largest
 /// relative speed in the block [m/s].
 template <class S, class W, class F>
 inline void for_each_near_block(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
@@ -69,13 +69,20 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
     BlockReader blocks(plan, x, v);
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
         if (!contacts.present(obstacle)) continue;
+        if constexpr (std::is_invocable_v<S, std::int64_t>)
+            if (skips(obstacle)) continue;
         PosedObstacle<double> posed(contacts.obstacle_pose(obstacle, t), contacts.obstacles[obstacle]);
         if (contacts.jaw_of(obstacle)) posed.lever = posed.position - pose_at(contacts.path(obstacle), t).position;
-        if (skips(obstacle, posed)) continue;
+        if constexpr (std::is_invocable_v<S, std::int64_t, const PosedObstacle<double>&>)
+            if (skips(obstacle, posed)) continue;
         const Vec3<double>& size = contacts.obstacles[obstacle].size;
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
             for (std::int64_t first = 0; first < plan.count; first += contact_block) {
                 const Block<double> block = blocks.at(first);
+                if constexpr (shape.value == Shape::mesh) {
+                    const auto bound = bound_block(posed, contacts.obstacles[obstacle], block);
+                    if (bound.gap > widest(bound.speed)) continue;
+                }
                 const auto result =
                     scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0).result();
                 if (result.gap < widest(result.speed)) visit(obstacle, first, shape, posed, block);
@@ -84,11 +91,11 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
     }
 }
 /// Call `visit` for each free particle of those blocks.
-template <class W, class F>
-inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& visit) {
-    const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
+template <class S, class W, class F>
+inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
+                          F&& visit) {
     for_each_near_block(
-        plan, t, x, v, none, widest,
+        plan, t, x, v, skips, widest,
         [&](std::int64_t obstacle, std::int64_t first, auto shape, const PosedObstacle<double>& posed,
             const Block<double>& block) {
             const Vec3<double>& size = plan.contacts.obstacles[obstacle].size;
@@ -101,14 +108,18 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
             }
         });
 }
-/// Limit of the gap for all blocks.
+/// Limit of the gap for all blocks, and a test that skips no obstacle.
 inline constexpr auto any_distance = [](double) { return no_gap<double>; };
-/// Call `visit` for each particle in contact.
+inline constexpr auto none = [](std::int64_t) { return false; };
+/// Call `visit` for each particle in contact. An obstacle whose bounding sphere stays away from all particles on its
+/// path is skipped.
 template <class F>
 inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& visit) {
     const double thickness = plan.contacts.thickness;
+    const BoundingBall cloth(x, plan.count);
+    const auto is_far = [&](std::int64_t obstacle) { return cloth.is_away(plan.contacts, obstacle, t, thickness); };
     for_each_near(
-        plan, t, x, v, [&](double) { return thickness; },
+        plan, t, x, v, is_far, [&](double) { return thickness; },
         [&](const ObstacleContact& contact) {
             if (contact.scaled_gap() < thickness) visit(contact);
         });
@@ -137,7 +148,6 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
     const std::int64_t n = plan.count, size = plan.anchor_count();
     std::fill(out, out + size, 0.0);
     const auto law = contacts.law<V>();
-    const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
     const auto combine_anchor = [&](std::int64_t index, double* to) {
         const double* const last_anchor = ends + (runs - 1) * size + index;
         bool all_bonded = true, same = true;
@@ -329,7 +339,7 @@ void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
         out[2 * obstacle] = 0.0;
         out[2 * obstacle + 1] = std::numeric_limits<double>::infinity();
     }
-    for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
+    for_each_near(plan, t, x, nullptr, none, any_distance, [&](const ObstacleContact& contact) {
         double* const to = out + 2 * contact.obstacle;
         to[0] += contact.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
         to[1] = smaller(contact.gap, to[1]);
@@ -337,7 +347,7 @@ void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
 }
 /// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
 void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
-    for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
+    for_each_near(plan, t, x, nullptr, none, any_distance, [&](const ObstacleContact& contact) {
         out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap;
     });
 }
@@ -349,7 +359,7 @@ bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0
     const std::int64_t n = plan.count;
     const double min_step = 1e-3 * plan.contacts.thickness;
     bool intersects = false;
-    for_each_near(plan, t, x0, nullptr, any_distance, [&](const ObstacleContact& contact) {
+    for_each_near(plan, t, x0, nullptr, none, any_distance, [&](const ObstacleContact& contact) {
         if (intersects) return;
         const double* const path = plan.contacts.path(contact.obstacle);
         const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];

@@ -70,6 +70,7 @@ public:
             if (step < skip.until) continue;
             JawLoad jaw_load;
             const PosedObstacle<T> posed = posed_at(state, thread, obstacle, step);
+            if (posed.mesh && skip_far_mesh(skip, posed, obstacle, step, block)) continue;
             T* const anchors = anchors_.empty() || !(contacts_.obstacles[obstacle].has_friction())
                                    ? nullptr
                                    : anchors_.data() + (index * contacts_.count() + obstacle) * anchor_numbers * pitch_;
@@ -248,6 +249,27 @@ private:
     T* sums_of(std::int64_t block, std::int64_t obstacle) {
         return sums_.data() + (block * contacts_.count() + obstacle) * record_numbers * n_partials;
     }
+    /// Skip a block that surely is away from a mesh; return whether it does. A scan of the mesh is far more expensive.
+    bool skip_far_mesh(SkipState& skip, const PosedObstacle<T>& posed, std::int64_t obstacle, std::int64_t step,
+                       const Block<T>& block) const {
+        if (skip.in_contact || !contacts_.may_skip_blocks || !run_.steps) return false;
+        const ScanResult<T> bound = bound_block(posed, contacts_.obstacles[obstacle], block);
+        const T reach = T(contacts_.thickness) + T(2.0 * run_.step) * bound.speed;
+        if (!(bound.gap > reach) || (skip.speed > T(0) && bound.speed > T(2) * skip.speed)) return false;
+        skip_steps(skip, bound, obstacle, step);
+        return true;
+    }
+    /// Skip a block for as many steps as it needs to get near.
+    void skip_steps(SkipState& skip, const ScanResult<T>& result, std::int64_t obstacle, std::int64_t step) const {
+        // The result includes the present speed of the obstacle only; it may be faster before the next scan.
+        const T speed = result.speed + T(2) * max_surface_speeds_[obstacle] + T(speed_margin),
+                free_path = T(skip_fraction) * (result.gap - T(contacts_.thickness));
+        const double steps = static_cast<double>(free_path) / (static_cast<double>(speed) * run_.step);
+        const std::int64_t n_left = run_.steps - 1 - step;
+        const bool before_end = steps < static_cast<double>(n_left);
+        skip.until = step + std::max<std::int64_t>(1, before_end ? static_cast<std::int64_t>(steps) : n_left);
+        skip.speed = speed;
+    }
     template <Shape S, bool Rotating>
     void add_obstacle(ThreadState& state, SkipState& skip, const PosedObstacle<T>& posed, std::int64_t obstacle,
                       std::int64_t step, const Block<T>& block, T* f, T* sums, T* anchors, JawLoad* jaw_load,
@@ -280,14 +302,7 @@ private:
         state.violated = state.violated || (skip.speed > T(0) && result.speed > T(2) * skip.speed);
         skip.speed = T(0);
         if (skip.in_contact || !contacts_.may_skip_blocks || !run_.steps) return;
-        // The scan includes the present speed of the obstacle only; it may be faster before the next scan.
-        const T speed = result.speed + T(2) * max_surface_speeds_[obstacle] + T(speed_margin),
-                free_path = T(skip_fraction) * (result.gap - thickness);
-        const double steps = static_cast<double>(free_path) / (static_cast<double>(speed) * run_.step);
-        const std::int64_t n_left = run_.steps - 1 - step;
-        const bool before_end = steps < static_cast<double>(n_left);
-        skip.until = step + std::max<std::int64_t>(1, before_end ? static_cast<std::int64_t>(steps) : n_left);
-        skip.speed = speed;
+        skip_steps(skip, result, obstacle, step);
     }
     /// Add the contact forces on a block of particles; return whether any is in contact. `anchors` of the obstacle move
     /// if `move_anchors`.

@@ -322,6 +322,31 @@ inline BlockScan<T> scan_block(const PosedObstacle<T>& posed, const Vec3<T>& siz
     return scan;
 }
 
+/// Bounds of a block without a search of the obstacle's surface: a lower one of the gap, from the balls about both, and
+/// an upper one of the relative speed. Not for planes.
+template <class T>
+inline ScanResult<T> bound_block(const PosedObstacle<T>& posed, const Obstacle& obstacle, const Block<T>& block) {
+    T square = T(0), low[3], high[3];
+    for (int c = 0; c < 3; ++c) low[c] = high[c] = block.x[c * block.pitch];
+    for (std::int64_t i = 0; i < block.count; ++i) {
+        T speed2 = T(0);
+        for (int c = 0; c < 3; ++c) {
+            const T x = block.x[c * block.pitch + i], v = block.v[c * block.pitch + i];
+            low[c] = smaller(x, low[c]);
+            high[c] = larger(x, high[c]);
+            speed2 += v * v;
+        }
+        square = larger(speed2, square);
+    }
+    const Vec3<T> lower{low[0], low[1], low[2]}, upper{high[0], high[1], high[2]};
+    const Vec3<T> center = T(0.5) * (lower + upper);
+    const T radius = T(0.5) * root(norm2(upper - lower)), distance = root(norm2(center - posed.position));
+    // Rounding, in single precision too.
+    const T margin = T(1e-5) * (root(norm2(center)) + root(norm2(posed.position)) + radius);
+    const T speed = root(square) + root(norm2(posed.velocity)) + root(norm2(posed.spin)) * (distance + radius);
+    return {distance - radius - T(obstacle.radius) - margin, T(1.001) * speed, T(0)};
+}
+
 /// Squared frequency [1/s^2] and damping rate [1/s].
 struct ContactBounds {
     double omega2 = 0.0, damping = 0.0;

@@ -242,13 +242,15 @@ def frame_wrenches(
 
 
 def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | None) -> tuple[list[Obstacle], Array]:
-    """Return the bodies in contact, obstacles and then pads of placed grippers, and their poses.
+    """Return the bodies to draw, obstacles and then pads of placed grippers, and their poses.
+
+    Links of a robot are left out: the robot's own description shows them.
 
     Returns:
         Bodies, and poses: position [m] and quaternion x, y, z, w, shape (count, 7).
     """
-    solids = [] if obstacles is None else list(obstacles.solids)
-    poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()
+    solids = [] if obstacles is None else [obstacles.solids[k] for k in obstacles.unlinked_indices]
+    poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()[obstacles.unlinked_indices]
     if pinching is not None:
         placed_pads = pinching.placed_pads()
         solids += [pinching.boxes[k] for k in placed_pads]

@@ -24,10 +24,12 @@ from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
     clamp_motion,
     constant_paths,
 )
-from cloth_sim_ros.simulation.events import Move
+from cloth_sim_ros.simulation.events import Move, MoveObstacles
 
 #: Largest lever arm of rotation for the speed limit [m]; it applies to larger obstacles and planes.
 _MAX_LEVER_ARM = 1.0
+#: Fraction of the speed limit up to which the bound of a motion needs no exact travel.
+_BOUND_MARGIN = 0.999
 _KIND = "obstacle"
 
 
@@ -48,6 +50,11 @@ class Obstacles:
     ) -> None:
         self.solids = solids
         self.names = [solid.name for solid in solids]
+        self._indices = {name: k for k, name in enumerate(self.names)}
+        #: Lever arm of each obstacle's rotation for the speed limit [m].
+        self._lever_arms = np.array([min(solid.bounding_radius, _MAX_LEVER_ARM) for solid in solids])
+        #: Indices of the obstacles that are no links of a robot.
+        self.unlinked_indices = [k for k, name in enumerate(self.names) if not descriptions[name].link]
         self._state = state
         self._bodies = KinematicBodies(_KIND, np.array([_start_pose(descriptions[name]) for name in self.names]), state)
 
@@ -64,11 +71,15 @@ class Obstacles:
     def lagging(self) -> list[str]:
         """Names of the obstacles that have not reached their target yet."""
         is_away = (self._bodies.array("pose") != self._bodies.array("target")).any(axis=1)
-        return [name for name, is_lagging in zip(self.names, is_away.tolist(), strict=True) if is_lagging]
+        return [self.names[k] for k in np.flatnonzero(is_away).tolist()]
 
     def set_target(self, event: Move) -> None:
         """Store a target."""
         self._bodies.set_target(self.names.index(event.obstacle), event.position, event.orientation)
+
+    def set_targets(self, event: MoveObstacles) -> None:
+        """Store the targets of several obstacles."""
+        self._bodies.set_targets([self._indices[name] for name in event.obstacles], event.poses)
 
     def hold_position(self) -> list[str]:
         """Hold the present poses until the next targets; return the names of the obstacles that moved."""
@@ -85,7 +96,8 @@ class Obstacles:
             Paths, shape (count, PATH_NUMBERS), and the largest change of an obstacle's displacement from the frame
             before, along an axis [m].
         """
-        paths, changes = self._bodies.paths(t, duration, functools.partial(self._end_pose, duration))
+        end_pose = functools.partial(self._end_pose, duration) if self._may_be_too_fast(duration) else None
+        paths, changes = self._bodies.paths(t, duration, end_pose)
         return paths, max(changes)
 
     def standing(self, t: float) -> Array:
@@ -118,10 +130,31 @@ class Obstacles:
                     f"{-gap[particle]:.4g} m deep; move one of them"
                 )
 
+    def _may_be_too_fast(self, duration: float) -> bool:
+        """Return False if a bound shows that every obstacle reaches its target within the speed limit.
+
+        Let c be the chord between two unit quaternions of one hemisphere. The angle of their rotation is 4 asin(c / 2).
+        Therefore it is at most pi c.
+        """
+        poses, targets = self._bodies.array("pose"), self._bodies.array("target")
+        if poses is targets:
+            return False
+        offsets, sums = targets - poses, targets[:, 3:] + poses[:, 3:]
+        chords = np.sqrt(np.minimum(_squares(offsets[:, 3:]), _squares(sums)))
+        bound = np.sqrt(_squares(offsets[:, :3])) + self._lever_arms * math.pi * chords
+        return not bool((bound <= _BOUND_MARGIN * MAX_BODY_SPEED * duration).all())
+
     def _end_pose(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
         """Return an obstacle's pose at a frame's end: its target, or as close to it as the speed limit permits."""
-        lever_arm = min(self.solids[k].bounding_radius, _MAX_LEVER_ARM)
-        return clamp_motion(pose, target, lever_arm, MAX_BODY_SPEED * duration)
+        return clamp_motion(pose, target, float(self._lever_arms[k]), MAX_BODY_SPEED * duration)
+
+
+def _squares(vectors: Array) -> Array:
+    """Return the squared lengths of vectors (n, k), shape (n,)."""
+    total: Array = vectors[:, 0] * vectors[:, 0]
+    for k in range(1, vectors.shape[1]):
+        total = total + vectors[:, k] * vectors[:, k]
+    return total
 
 
 def replace_obstacles(

@@ -1,0 +1,244 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Links of a robot as obstacles: kinematics, choice of links, names, meshes, friction and stops of fingers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.robots import ARM, chain, robot_scene
+
+from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.recorded_scene import recorded_values
+from cloth_sim_ros.scene.robot.collision_meshes import find_file
+from cloth_sim_ros.scene.robot.description import parse
+from cloth_sim_ros.scene.robot.kinematics import Kinematics, poses_of
+from cloth_sim_ros.scene.robot.links import add_links
+from cloth_sim_ros.scene.robot.pad_stops import PadStops
+
+AT: dict[str, Any] = {"robot.position": [0.8, 0.0, 0.5]}
+#: A tetrahedron, and the same without one face.
+SOLID = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+OPEN = SOLID.rsplit("f", 1)[0]
+FLAT = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
+
+
+def with_mesh(filename: str, scale: str = "1 1 1") -> str:
+    return (
+        '<robot name="r"><link name="body"><collision><geometry>'
+        f'<mesh filename="{filename}" scale="{scale}"/></geometry></collision></link></robot>'
+    )
+
+
+def test_planar_arm_is_where_trigonometry_puts_it() -> None:
+    _, links = robot_scene(ARM, AT)
+    a, b = 0.4, 0.7
+    poses = dict(zip(links.names, links.poses({"shoulder": a, "elbow": b, "finger": 0.02}), strict=True))
+    # Rotations about y: the arm lies in the x-z plane.
+    elbow = np.array([0.8 + 0.3 * math.sin(a), 0.0, 0.6 + 0.3 * math.cos(a)])
+    hand = elbow + 0.33 * np.array([math.sin(a + b), 0.0, math.cos(a + b)])
+    middle = hand + 0.02 * np.array([math.sin(a + b), 0.0, math.cos(a + b)])
+    assert np.abs(poses["hand"][:3] - middle).max() < 1e-15
+    assert np.abs(poses["hand"][3:] - [0.0, math.sin(0.5 * (a + b)), 0.0, math.cos(0.5 * (a + b))]).max() < 1e-15
+    # The right finger mimics the left one.
+    assert poses["left_finger"][1] == pytest.approx(0.03)
+    assert poses["right_finger"][1] == pytest.approx(-0.03)
+
+
+def test_poses_keep_rotations_of_half_a_turn() -> None:
+    for axis in np.eye(3):
+        turned = np.eye(4)
+        turned[:3, :3] = 2.0 * np.outer(axis, axis) - np.eye(3)
+        assert np.abs(poses_of(turned[None])[0, 3:]).tolist() == [*axis.tolist(), 0.0]
+
+
+def test_missing_joint_stays_within_its_limits() -> None:
+    text = ARM.replace('lower="-2.0"', 'lower="0.5"')
+    kinematics = Kinematics(parse(text))
+    assert kinematics.positions({"elbow": 1.0}).tolist() == [0.5, 1.0, 0.0, 0.0]
+
+
+def test_mimic_of_a_mimic_follows_with_both_offsets() -> None:
+    links = "".join(f'<link name="l{k}"/>' for k in range(4))
+    mimics = ["", '<mimic joint="j0" multiplier="2" offset="0.1"/>', '<mimic joint="j1" multiplier="-1" offset="1"/>']
+    joints = "".join(
+        f'<joint name="j{k}" type="prismatic"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        f'<limit lower="-1" upper="1"/>{mimic}</joint>'
+        for k, mimic in enumerate(mimics)
+    )
+    kinematics = Kinematics(parse(f'<robot name="r">{links}{joints}</robot>'))
+    bodies = kinematics.bodies(np.array([0.3]), np.eye(4))
+    assert np.diff(bodies[:, 0, 3]).tolist() == pytest.approx([0.3, 0.7, 0.3])
+
+
+def test_reach_bounds_every_pose_of_every_link() -> None:
+    rng = np.random.default_rng(1)
+    kinematics = Kinematics(parse(ARM))
+    for _ in range(200):
+        positions = rng.uniform([-2.0, -2.8, -3.0, 0.0], [2.0, 2.8, 3.0, 0.04])
+        bodies = kinematics.bodies(positions, np.eye(4))
+        for body in range(1, len(bodies)):
+            centre, radius = kinematics.reach(body, 0.0)
+            assert np.linalg.norm(bodies[body][:3, 3] - centre) <= radius + 1e-12
+
+
+def test_links_out_of_reach_are_left_out_and_named() -> None:
+    scene, links = robot_scene(ARM, {"robot.position": [9.0, 0.0, 0.0]})
+    assert links.names == ()
+    assert scene.obstacle_names == []
+    assert "cannot reach the cloth are no obstacles: base, forearm, hand, left_finger" in links.notes[0]
+    # A gripper may carry the cloth as far as the arm reaches: all its links are kept.
+    assert len(robot_scene(ARM, AT)[1].names) == 6
+    # Without a gripper the base, which never moves, is too far from the cloth.
+    alone = robot_scene(ARM, {"robot.position": [2.6, 0.0, 0.5], "grippers": [""]})[1]
+    assert "base" not in alone.names
+    assert "hand" in alone.names
+
+
+def test_named_links_are_kept_with_names_of_their_own() -> None:
+    values = {
+        "robot.links": ["hand"],
+        "obstacles": ["hand"],
+        "hand.shape": "sphere",
+        "hand.size": [0.1],
+        "robot.position": [9.0, 0.0, 0.0],
+    }
+    scene, links = robot_scene(ARM, values)
+    assert links.names == ("hand_0",)
+    assert scene.obstacle_names == ["hand", "hand_0"]
+    assert scene.link_names == ["hand_0"]
+    assert scene.described["hand_0"].link == "hand"
+    several = robot_scene(chain(1, 3), {"robot.links": ["l1"], **AT})[1]
+    assert several.names == ("l1_0", "l1_1", "l1_2")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        (
+            "robot.links",
+            ["forarm"],
+            "robot.links names 'forarm', which is no link of the robot; did you mean 'forearm'",
+        ),
+        ("robot.pads", ["thumb"], "robot.pads names 'thumb'"),
+    ],
+)
+def test_unknown_link_is_refused_with_a_suggestion(name: str, value: list[str], reason: str) -> None:
+    with pytest.raises(ParameterError, match=reason):
+        robot_scene(ARM, {name: value})
+
+
+def test_recorded_scene_runs_without_description() -> None:
+    scene, links = robot_scene(ARM, AT)
+    again = Scene.from_parameters(
+        recorded_values(parameter_file.dump(scene.parameters()), node="cloth_sim"), files=scene.files
+    )
+    assert again == scene
+    # A second call replaces the links of the first one.
+    values, _, second = add_links(scene.parameters(), ARM, files=scene.files)
+    assert second.names == links.names
+    assert values["obstacles"] == scene.obstacles
+
+
+def test_scene_file_names_the_description(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(ARM)
+    lines = "robot.enabled: true\n    robot.description_file: arm.urdf\n    robot.position: [0.8, 0.0, 0.5]\n"
+    (tmp_path / "scene.yaml").write_text(f"/**:\n  ros__parameters:\n    {lines}")
+    scene = Scene.from_file(tmp_path / "scene.yaml")
+    assert len(scene.link_names) == 6
+    assert Simulation(scene).obstacles is not None
+
+
+def test_closed_mesh_is_kept_and_scaled(tmp_path: Path) -> None:
+    (tmp_path / "body.obj").write_text(SOLID)
+    values = {"robot.links": ["body"]}
+    _, files, links = add_links(values, with_mesh("body.obj", "1 -2 1"), folder=tmp_path)
+    assert links.notes == ()
+    scene = Scene.from_parameters(
+        add_links(values, with_mesh(f"file://{tmp_path}/body.obj", "1 -2 1"))[0] | {"cloth.position": [0.0, 0.0, 9.0]},
+        files=files,
+    )
+    solid = scene.solids[0]
+    assert solid.vertices is not None
+    # The obstacle's frame is in the middle of the mesh.
+    assert solid.vertices.min(axis=0).tolist() == [-0.05, -0.1, -0.05]
+    assert scene.described["body"].position == (0.05, -0.1, 0.05)
+
+
+def test_open_mesh_becomes_its_convex_hull_and_says_so(tmp_path: Path) -> None:
+    (tmp_path / "body.obj").write_text(OPEN)
+    _, files, links = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)
+    assert links.notes == ("link 'body': mesh 'body.obj' is not closed: its convex hull stands for it",)
+    assert files["body.obj"].count(b"f ") == 4
+    # Two pieces stay two obstacles.
+    second = OPEN.replace("v 0", "v 5").replace("f 1 3 2\nf 1 2 4\nf 1 4 3\n", "f 5 7 6\nf 5 6 8\nf 5 8 7\n")
+    (tmp_path / "body.obj").write_text(OPEN + second)
+    two = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)[2]
+    assert two.names == ("body_0", "body_1")
+    assert "the convex hulls of its 2 pieces stand" in two.notes[0].replace("stands", "stand")
+
+
+@pytest.mark.parametrize(
+    ("uri", "reason"),
+    [
+        ("missing.obj", "mesh 'missing.obj' can't be read.*No such file.*leave its link out"),
+        ("flat.obj", "is open and flat"),
+        ("package://no_such_robot/a.stl", "package 'no_such_robot', which is not in AMENT_PREFIX_PATH; source"),
+        ("http://host/a.stl", "give package:// or file://"),
+        ("body.dae", "its name must end in obj, ply, stl"),
+    ],
+)
+def test_mesh_that_cannot_be_used_is_refused(tmp_path: Path, uri: str, reason: str) -> None:
+    (tmp_path / "flat.obj").write_text(FLAT)
+    (tmp_path / "body.dae").write_text("<COLLADA/>")
+    with pytest.raises(ParameterError, match=reason):
+        add_links({"robot.links": ["body"]}, with_mesh(uri), folder=tmp_path)
+
+
+def test_package_of_a_mesh_is_found_by_the_prefix_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "share" / "my_robot").mkdir(parents=True)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
+    assert find_file("package://my_robot/meshes/a%20b.stl", Path()) == tmp_path / "share/my_robot/meshes/a b.stl"
+
+
+def test_pads_have_the_friction_of_grippers_and_stop() -> None:
+    values = {**AT, "robot.pads": ["left_finger", "right_finger"], "gripper.friction": [0.8, 0.7]}
+    scene, links = robot_scene(ARM, {**values, "robot.friction": [0.1]})
+    assert scene.described["left_finger"].friction == (0.8, 0.7)
+    assert scene.described["hand"].friction == (0.1,)
+    stops, positions = PadStops(scene, links), np.array([0.2, 0.3, 0.4, 0.03])
+    for finger in np.linspace(0.03, 0.0, 20):
+        positions[3] = finger
+        positions[0] += 0.01
+        stopped = stops.stopped(positions)
+        assert stopped[:3].tolist() == positions[:3].tolist()
+    # Half the distance between the faces, which are at y = 0 of the closed fingers.
+    assert stopped[3] == pytest.approx(0.5 * scene.contact.thickness, rel=0.05)
+    assert stopped[3] >= 0.5 * scene.contact.thickness
+    positions[3] = 0.01
+    assert stops.stopped(positions).tolist() == positions.tolist()
+
+
+def test_joint_of_several_degrees_of_freedom_is_reported() -> None:
+    text = ARM.replace('name="wrist" type="continuous"', 'name="wrist" type="floating"')
+    _, links = robot_scene(text, AT)
+    assert links.joint_names == ("shoulder", "elbow", "finger")
+    assert links.notes == ("joint 'wrist' of the robot has several degrees of freedom: it stays at 0",)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"robot.orientation": [0.0, 0.0, 0.0, 0.0]}, "robot.orientation: orientation"),
+        ({"robot.friction": [0.1, 0.2]}, "robot.friction is 0.1 at rest and 0.2 in motion"),
+    ],
+)
+def test_invalid_robot_parameter_is_named(values: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ParameterError, match=reason):
+        Scene.from_parameters(values)
