@@ -170,3 +170,45 @@ def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.Mon
         assert not frame.stopped
     closed, pulled = (links.link_pose("left_finger", np.array(arm.joints(t)))[0] for t in (4.0, 4.5))
     assert simulation.positions[:, 0].max() > 0.25 + 0.7 * (pulled - closed)
+
+
+def test_pick_node_holds_the_towel_until_it_opens(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy")
+    from support.interface_packages import CONTROL_MSGS, build_package
+    from support.ros_client import start_cloth
+
+    folder, reason = build_package("control_msgs", CONTROL_MSGS)
+    if folder is None:
+        pytest.skip(reason)
+    environment, scene = {"PYTHONPATH": str(folder)}, str(ROOT / "config" / "pinch_action.yaml")
+    cloth = start_cloth(start_process, arguments=["--params-file", scene], env=environment)
+    robot = start_process([sys.executable, ROOT / "examples" / "pick_node.py"], cwd=tmp_path, env=environment)
+    assert robot.wait() == 0, robot.output
+    assert re.findall(r"stalled (\w+), reached (\w+)", robot.output) == [("True", "False"), ("False", "True")]
+    assert cloth.interrupt() == 0, cloth.output
+
+
+def test_twist_node_leads_the_corner_of_a_live_cloth(
+    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("rclpy")
+    from support.ros_client import start_cloth
+
+    recording = ["record.enabled:=true", f"record.folder:={tmp_path}"]
+    cloth = start_cloth(start_process, "gripper.twist_max_speed:=0.5", *recording)
+    robot = start_process([sys.executable, ROOT / "examples" / "twist_node.py"], cwd=tmp_path)
+    assert robot.wait() == 0, robot.output
+    held, released = numbers(r"holds (\d+) particle", robot.output)
+    assert held > 0
+    assert released == 0
+    assert cloth.interrupt() == 0, cloth.output
+    (session,) = tmp_path.glob("*.mcap")
+    from cloth_sim_ros.session.reader import SessionReader
+
+    with SessionReader(session) as reader:
+        events = [event for frame in reader.frames() for event in frame.events]
+    heights = [event["position"][2] for event in events if event["kind"] == "target"]
+    # It rises by 0.25 m/s for 1.5 s, and then goes sideways.
+    assert max(heights) - heights[0] == pytest.approx(0.375, abs=0.08)

@@ -18,8 +18,9 @@ from cloth_sim_ros.ros.io.inputs import Inputs
 from cloth_sim_ros.ros.io.outputs import Outputs
 from cloth_sim_ros.ros.process.failure import FailureGuard, ignore_errors_after_shutdown
 from cloth_sim_ros.ros.process.worker_thread import InterruptibleLock, run_inline
+from cloth_sim_ros.ros.recording.errors import RecordingNotInstalledError
 from cloth_sim_ros.ros.recording.initial_state import describe_left_out
-from cloth_sim_ros.ros.recording.recording import RecordingNotInstalledError, SessionRecording
+from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl, RosoutRecorder
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.reporting.report import log_start

@@ -110,7 +110,7 @@ Plan* make_plan(const Scene& scene) {
     const double point[3] = {0.004, 0.003, 0.0111};
     if (scene.point) cloth_plan_features(plan, 0, 1, point, 0, nullptr, 0.0);
     const std::int64_t jaws[2] = {pads, pads + 1};
-    const double drive[7] = {1, 1, 0.01, 1.0, 0.5, 0.006, 0.005};
+    const double drive[8] = {1, 1, 0.01, 1.0, 0.5, 0.006, 0.005, 0.0};
     if (scene.jaws) cloth_plan_jaws(plan, 1, jaws, drive);
     if (scene.calls_back) cloth_plan_callback(plan, add_nothing);
     return plan;

@@ -243,25 +243,3 @@ def test_piece_rejected_for_its_energy_leaves_no_energy_behind() -> None:
     controller.reject_energy(piece)
     # private: what the frame would store
     assert controller._energy.memory == EnergyState()
-
-
-def test_an_estimate_measures_one_displacement(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each displacement takes up to nine force evaluations; errors of other numbers of runs are scaled from it."""
-    values = {"cloth.resolution": [8, 8], "material.damping": 0.5, "tolerance": 1e-6, "grippers": [""]}
-    simulation = Simulation(Scene.from_parameters(values))
-    plan, measured = simulation.plan, []
-    measure = plan.velocity_displacement
-
-    def counted(*arguments: Any) -> tuple[float, int]:
-        measured.append(arguments)
-        return measure(*arguments)
-
-    monkeypatch.setattr(plan, "velocity_displacement", counted)
-    calls = []
-    for _ in range(60):
-        measured.clear()
-        advance = simulation.advance().advance
-        if advance.rejected == 0 and advance.evaluations > advance.steps + 4:
-            calls.append(len(measured))
-    assert len(calls) > 5
-    assert sorted(calls)[len(calls) // 2] == 1

@@ -21,7 +21,7 @@ from cloth_sim_ros.ros.process.failure import NodeFailedError
 from cloth_sim_ros.ros.process.options import parser
 from cloth_sim_ros.ros.process.stopping import StopRequestedError, StopSignals
 from cloth_sim_ros.ros.process.worker_thread import WorkerThread
-from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError
+from cloth_sim_ros.ros.recording.errors import RecordingUnavailableError
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 

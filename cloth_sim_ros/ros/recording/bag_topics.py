@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String, UInt8MultiArray
 
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, Output, RecordSink
-from cloth_sim_ros.ros.recording.recording import RecordingNotInstalledError
+from cloth_sim_ros.ros.recording.errors import RecordingNotInstalledError
 from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from cloth_sim_ros.ros.recording.errors import RecordingNotInstalledError, RecordingUnavailableError
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation import events
@@ -28,14 +29,6 @@ _NO_MEMORY = "no memory is left"
 _FRAME_TYPE = "std_msgs/msg/String"
 #: Libraries of each compression.
 _COMPRESSION = {"none": (), "lz4": ("lz4.frame",), "zstd": ("zstandard",)}
-
-
-class RecordingUnavailableError(RuntimeError):
-    """Recording is not possible; the message says why."""
-
-
-class RecordingNotInstalledError(RecordingUnavailableError):
-    """The libraries for recording are not installed."""
 
 
 class SessionRecording:

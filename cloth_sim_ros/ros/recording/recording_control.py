@@ -14,12 +14,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_parameter_events
 from rclpy.serialization import deserialize_message
 
-from cloth_sim_ros.ros.recording.recording import (
-    RecordingNotInstalledError,
-    RecordingUnavailableError,
-    SessionRecording,
-    log_end,
-)
+from cloth_sim_ros.ros.recording.errors import RecordingNotInstalledError, RecordingUnavailableError
+from cloth_sim_ros.ros.recording.recording import SessionRecording, log_end
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder_options import RecorderStatus

@@ -1,0 +1,11 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of recordings that cannot start."""
+
+
+class RecordingUnavailableError(RuntimeError):
+    """Recording is not possible; the message says why."""
+
+
+class RecordingNotInstalledError(RecordingUnavailableError):
+    """The libraries for recording are not installed."""
