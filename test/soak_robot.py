@@ -1,12 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random motions of an arm around a sheet: `python test/soak_robot.py [--motions 10000] [--seconds 0] [--seed 1]`.
+"""Random motions of an arm around a sheet: `python test/soak_robot.py [--motions 10000] [--seconds 0] [--first-run 0]`.
 
 Each joint moves to a random position at 2 rad/s at most. At the end of every frame numpy's distances of the particles,
 and of points within every triangle, must be outside all links. Anchored particles and their triangles are left out,
 because nothing pushes them. A cylinder may be entered by a twentieth of the contact
 thickness, because its features are those of an inscribed prism. Exit status 1 after an intersection; run and motion
-reproduce it.
+reproduce it. A run has 20 motions; `--first-run` continues an earlier command.
 """
 
 from __future__ import annotations
@@ -60,10 +60,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--motions", type=int, default=10_000, help="number of motions (%(default)s)")
     parser.add_argument("--seconds", type=float, default=0.0, help="wall time after which it ends; 0: none")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first-run", type=int, default=0, help="number of the first run (%(default)s)")
     options = parser.parse_args(arguments)
     totals, end = Totals(), time.monotonic() + (options.seconds or math.inf)
     with tqdm(total=options.motions, unit="motion", disable=None) as bar:
-        run = 0
+        run = options.first_run
         while totals.motions < options.motions and time.monotonic() < end:
             _run(
                 run, np.random.default_rng((options.seed, run)), totals, min(MOTIONS, options.motions - totals.motions)
@@ -71,9 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             bar.update(MOTIONS)
             run += 1
     print(
-        f"{totals.motions} motions, {totals.frames} frames: {totals.in_contact} with contact, {totals.stopped} in "
-        f"which links stopped, {totals.flagged} flagged; smallest gap {1e3 * totals.min_gap:.3g} mm; "
-        f"{totals.n_penetrating} in which a link is in the cloth"
+        f"runs {options.first_run} to {run - 1}: {totals.motions} motions, {totals.frames} frames: {totals.in_contact} "
+        f"with contact, {totals.stopped} in which links stopped, {totals.flagged} flagged; smallest gap "
+        f"{1e3 * totals.min_gap:.3g} mm; {totals.n_penetrating} in which a link is in the cloth"
     )
     return 1 if totals.n_penetrating else 0
 
