@@ -60,8 +60,8 @@ private:
 };
 
 /// Call visit(obstacle, first, shape, posed, block) for each block of particles near an obstacle, unless
-/// skips(obstacle, posed) or, before the pose is computed, skips(obstacle). A block is near if its least gap is below widest(speed) [m], where `speed` is the largest
-/// relative speed in the block [m/s].
+/// skips(obstacle, posed) or, before the pose is computed, skips(obstacle). A block is near if its least gap is below
+/// widest(speed) [m], where `speed` is the largest relative speed in the block [m/s].
 template <class S, class W, class F>
 inline void for_each_near_block(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
                                 F&& visit) {
@@ -79,18 +79,20 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
             for (std::int64_t first = 0; first < plan.count; first += contact_block) {
                 const Block<double> block = blocks.at(first);
+                double limit = no_gap<double>;
                 if constexpr (shape.value == Shape::mesh) {
                     const auto bound = bound_block(posed, contacts.obstacles[obstacle], block);
-                    if (bound.gap > widest(bound.speed)) continue;
+                    limit = widest(bound.speed);
+                    if (bound.gap > limit) continue;
                 }
                 const auto result =
-                    scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0).result();
+                    scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0, limit).result();
                 if (result.gap < widest(result.speed)) visit(obstacle, first, shape, posed, block);
             }
         });
     }
 }
-/// Call `visit` for each free particle of those blocks.
+/// Call `visit` for each free particle of those blocks. Gaps of a mesh above widest(0) [m] may be lower bounds.
 template <class S, class W, class F>
 inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
                           F&& visit) {
@@ -102,7 +104,7 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
             for (std::int64_t i = 0; i < block.count; ++i) {
                 if (!(block.mass[i] > 0.0)) continue;
                 const auto s = contact_kinematics<shape.value, true, double>(posed, size, block.position<double>(i),
-                                                                             block.velocity<double>(i));
+                                                                             block.velocity<double>(i), widest(0.0));
                 visit(ObstacleContact{s, obstacle, first + i, block.mass[i], posed,
                                       plan.contacts.reduced.scaling(obstacle, first + i, plan.count + 1, t)});
             }
@@ -173,7 +175,7 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
             const FrictionLaw<V> friction(properties.friction, contacts.frequency);
             for (std::ptrdiff_t j = 0; j < block.count; j += lanes<double>) {
                 const auto s = contact_kinematics<shape.value, true, V>(posed, properties.size, block.position<V>(j),
-                                                                        block.velocity<V>(j));
+                                                                        block.velocity<V>(j), contacts.thickness);
                 const Scaling<V> scaling = contacts.reduced.lane_scaling(obstacle * (n + 1) + first + j, t);
                 const V gap = scaling.gap(s.gap);
                 const auto in_contact = (load(block.mass + j) > V{}) & (gap < splat<V>(contacts.thickness));
@@ -339,11 +341,17 @@ void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
         out[2 * obstacle] = 0.0;
         out[2 * obstacle + 1] = std::numeric_limits<double>::infinity();
     }
-    for_each_near(plan, t, x, nullptr, none, any_distance, [&](const ObstacleContact& contact) {
-        double* const to = out + 2 * contact.obstacle;
-        to[0] += contact.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
-        to[1] = smaller(contact.gap, to[1]);
-    });
+    // Gaps above the least one found so far, and above the thickness, change nothing.
+    double limit = no_gap<double>;
+    const auto begin = [&](std::int64_t) { return limit = no_gap<double>, false; };
+    for_each_near(
+        plan, t, x, nullptr, begin, [&](double) { return limit; },
+        [&](const ObstacleContact& contact) {
+            double* const to = out + 2 * contact.obstacle;
+            to[0] += contact.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
+            to[1] = smaller(contact.gap, to[1]);
+            limit = larger(to[1], plan.contacts.thickness);
+        });
 }
 /// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
 void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
@@ -445,12 +453,24 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
                 speed_change[k] = splat3<V>(future_pose.velocity - posed.velocity);
                 spin[k] = splat3<V>(future_pose.spin - posed.spin);
             }
+            // No particle counts whose gap is above the reach at its largest speed, now or later.
+            double limit = no_gap<double>;
+            if constexpr (shape.value == Shape::mesh) {
+                double speed = bound_block(posed, properties, block).speed;
+                for (int k = 0; k < 2; ++k) {
+                    PosedObstacle<double> later = posed;
+                    later.velocity = future[2 * obstacle + k].velocity;
+                    later.spin = future[2 * obstacle + k].spin;
+                    speed = larger(bound_block(later, properties, block).speed, speed);
+                }
+                limit = reach_distance(speed);
+            }
             V largest{};
             std::int64_t n_visited = 0;
             for (std::ptrdiff_t j = 0; j < block.count; j += lanes<double>) {
                 const V mass = load(block.mass + j);
                 const auto s = contact_kinematics<shape.value, true, V>(posed, properties.size, block.position<V>(j),
-                                                                        block.velocity<V>(j));
+                                                                        block.velocity<V>(j), limit);
                 V speed = s.closing;
                 for (int k = 0; k < 2; ++k)
                     speed = larger(s.closing + dot(speed_change[k] + cross(spin[k], s.arm), s.normal), speed);
