@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes of a robot's collision geometry: their files, and closed solids of them.
 
-An open mesh is replaced by the convex hulls of its connected pieces, or by its own.
+An open or a fine mesh is replaced by the convex hulls of its connected pieces, or by its own. A hull has few faces:
+contact with a fine mesh takes far longer, and steps become short at its short edges.
 """
 
 from __future__ import annotations
@@ -22,6 +23,12 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Largest number of pieces that become obstacles of their own.
 _MAX_PIECES = 8
+#: Largest number of triangles of a closed mesh that stays as it is, and of vertices of a hull.
+_MAX_TRIANGLES, _MAX_VERTICES = 60, 48
+#: A hull gets no more vertices once all of the mesh's are this close [m].
+_HULL_TOLERANCE = 0.0005
+#: Directions of a hull's first vertices: along the axes and the diagonals of a cube.
+_DIRECTIONS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [1, 1, -1], [1, -1, 1], [1, -1, -1]], dtype=float)
 _PACKAGE, _FILE = "package://", "file://"
 
 
@@ -31,7 +38,7 @@ class ConvexOrClosed:
 
     #: Vertices [m], (m, 3), and triangles, (t, 3), of each.
     parts: tuple[tuple[Array, NDArray[np.int64]], ...]
-    #: A sentence's end if the mesh was open; else empty.
+    #: A sentence's end if hulls stand for the mesh; else empty.
     note: str = ""
 
 
@@ -84,7 +91,8 @@ def load(uri: str, scale: tuple[float, ...], folder: Path) -> ConvexOrClosed:
         # A mirror image turns triangles over.
         triangles = triangles[:, ::-1]
     vertices, triangles = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
-    if _is_solid(vertices, triangles):
+    is_solid = _is_solid(vertices, triangles)
+    if is_solid and len(triangles) <= _MAX_TRIANGLES:
         return ConvexOrClosed(parts=((vertices, triangles),))
     parts = _hulls(vertices, triangles)
     if not parts:
@@ -93,7 +101,12 @@ def load(uri: str, scale: tuple[float, ...], folder: Path) -> ConvexOrClosed:
             "(robot.links)"
         )
     count = "its convex hull" if len(parts) == 1 else f"the convex hulls of its {len(parts)} pieces"
-    return ConvexOrClosed(parts=parts, note=f"mesh '{uri}' is not closed: {count} stands for it")
+    fault = f"has {len(triangles)} triangles" if is_solid else "is not closed"
+    note = f"mesh '{uri}' {fault}: {count} stands for it"
+    inset = float(np.min([_distances_outside(vertices, *part) for part in parts], axis=0).max())
+    if inset > _HULL_TOLERANCE:
+        note += f", and the mesh protrudes by up to {1e3 * inset:.2g} mm"
+    return ConvexOrClosed(parts=parts, note=note)
 
 
 def obj_bytes(vertices: Array, triangles: NDArray[np.int64]) -> bytes:
@@ -136,6 +149,36 @@ def _hulls(vertices: Array, triangles: NDArray[np.int64]) -> tuple[tuple[Array, 
 
 
 def _hull(points: Array) -> tuple[Array, NDArray[np.int64]] | None:
+    """Return a convex hull of points (m, 3) [m] as a closed mesh; None if they lie in a plane.
+
+    With too many vertices it is that of some of them. The next one is always the furthest outside.
+    """
+    exact = _exact_hull(points)
+    if exact is None or len(exact[0]) <= _MAX_VERTICES:
+        return exact
+    points, hull = exact[0], exact
+    heights = points @ _DIRECTIONS.T
+    chosen = sorted({*np.argmin(heights, axis=0).tolist(), *np.argmax(heights, axis=0).tolist()})
+    while (next_hull := _exact_hull(points[chosen])) is not None:
+        hull = next_hull
+        outside = _distances_outside(points, *hull)
+        furthest = int(np.argmax(outside))
+        if len(chosen) >= _MAX_VERTICES or outside[furthest] <= _HULL_TOLERANCE:
+            break
+        chosen.append(furthest)
+    return hull
+
+
+def _distances_outside(points: Array, vertices: Array, triangles: NDArray[np.int64]) -> Array:
+    """Return lower bounds of the distances of points (m, 3) [m] from a convex hull, negative inside, shape (m,)."""
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.sqrt((normals * normals).sum(axis=1))[:, None]
+    distances: Array = (points @ normals.T - (normals * corners[:, 0]).sum(axis=1)).max(axis=1)
+    return distances
+
+
+def _exact_hull(points: Array) -> tuple[Array, NDArray[np.int64]] | None:
     """Return the convex hull of points (m, 3) [m] as a closed mesh; None if they lie in a plane."""
     from scipy.spatial import ConvexHull, QhullError
 
