@@ -12,6 +12,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -53,8 +54,10 @@ class Obstacles:
         self._indices = {name: k for k, name in enumerate(self.names)}
         #: Lever arm of each obstacle's rotation for the speed limit [m].
         self._lever_arms = np.array([min(solid.bounding_radius, _MAX_LEVER_ARM) for solid in solids])
-        #: Indices of the obstacles that are no links of a robot.
-        self.unlinked_indices = [k for k, name in enumerate(self.names) if not descriptions[name].link]
+        #: True for each obstacle that is a link of a robot, and indices of the others.
+        self._is_link = np.array([bool(descriptions[name].link) for name in self.names])
+        self.unlinked_indices = np.flatnonzero(~self._is_link).tolist()
+        self._radii = np.array([solid.bounding_radius for solid in solids])
         self._state = state
         self._bodies = KinematicBodies(_KIND, np.array([_start_pose(descriptions[name]) for name in self.names]), state)
 
@@ -85,20 +88,26 @@ class Obstacles:
         """Hold the present poses until the next targets; return the names of the obstacles that moved."""
         return [self.names[k] for k in self._bodies.hold_position(range(len(self.names)))]
 
-    def plan_frame(self, t: float, duration: float) -> tuple[Array, float]:
-        """Return the paths over a frame that starts at time t [s], and the largest change of displacement.
+    def plan_frame(self, t: float, duration: float, thickness: float) -> tuple[Array, float, NDArray[np.bool_] | None]:
+        """Return the paths over a frame that starts at time t [s].
 
         Args:
             t: time at which the frame starts [s].
             duration: length of the frame [s].
+            thickness: of contact [m].
 
         Returns:
-            Paths, shape (count, PATH_NUMBERS), and the largest change of an obstacle's displacement from the frame
-            before, along an axis [m].
+            Paths, shape (count, PATH_NUMBERS). The largest change of an obstacle's displacement from the frame before,
+            along an axis [m]. True for each link of a robot that cannot touch the cloth in the frame, shape (count,);
+            None without links.
         """
         end_pose = functools.partial(self._end_pose, duration) if self._may_be_too_fast(duration) else None
         paths, changes = self._bodies.paths(t, duration, end_pose)
-        return paths, max(changes)
+        if not self._is_link.any():
+            return paths, max(changes), None
+        is_away = self._is_link & self._are_away(paths, duration, 2.0 * thickness)
+        near_changes = [change for change, away in zip(changes, is_away.tolist(), strict=True) if not away]
+        return paths, max(near_changes, default=0.0), is_away
 
     def standing(self, t: float) -> Array:
         """Return the paths of obstacles at rest at their poses from time t [s] on, shape (count, PATH_NUMBERS)."""
@@ -129,6 +138,20 @@ class Obstacles:
                     f"is inside obstacle '{name}': particle {particle} at {[round(c, 6) for c in position]} is "
                     f"{-gap[particle]:.4g} m deep; move one of them"
                 )
+
+    def _are_away(self, paths: Array, duration: float, distance: float) -> NDArray[np.bool_]:
+        """Return for each obstacle whether it stays further than a distance [m] from the box about the present cloth.
+
+        An obstacle moves no further than its path is long.
+        """
+        x = self._state.x
+        starts = paths[:, 1:4]
+        outside = np.maximum(np.maximum(x.min(axis=1) - starts, starts - x.max(axis=1)), 0.0)
+        lengths = np.zeros(len(paths))
+        for order in (1, 2, 3):
+            lengths += duration**order * np.sqrt(_squares(paths[:, 1 + 3 * order : 4 + 3 * order]))
+        is_away: NDArray[np.bool_] = np.sqrt(_squares(outside)) > self._radii + lengths + distance
+        return is_away
 
     def _may_be_too_fast(self, duration: float) -> bool:
         """Return False if a bound shows that every obstacle reaches its target within the speed limit.
