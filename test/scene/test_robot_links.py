@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from support.robots import ARM, chain, robot_scene
 
 from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.physics.contact.obstacle_mesh import mesh_distance
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.recorded_scene import recorded_values
@@ -182,6 +184,29 @@ def test_open_mesh_becomes_its_convex_hull_and_says_so(tmp_path: Path) -> None:
     two = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)[2]
     assert two.names == ("body_0", "body_1")
     assert "the convex hulls of its 2 pieces stand" in two.notes[0].replace("stands", "stand")
+
+
+def test_fine_mesh_becomes_a_hull_of_few_vertices(tmp_path: Path) -> None:
+    # A ball with a waist: closed, not convex, 800 triangles.
+    angles, turns = np.linspace(0.0, math.pi, 22)[1:-1], 2.0 * math.pi * np.arange(20) / 20.0
+    radii = 0.05 * np.sin(angles) * (1.0 - 0.3 * np.exp(-((10.0 * np.cos(angles)) ** 2)))
+    points = [(r * math.cos(t), r * math.sin(t), -0.05 * math.cos(a)) for a, r in zip(angles, radii) for t in turns]
+    points += [(0.0, 0.0, -0.05), (0.0, 0.0, 0.05)]
+    faces = [(400, (i + 1) % 20, i) for i in range(20)] + [(401, 380 + i, 380 + (i + 1) % 20) for i in range(20)]
+    for a, b in ((20 * k + i, 20 * k + (i + 1) % 20) for k in range(19) for i in range(20)):
+        faces += [(a, b, b + 20), (a, b + 20, a + 20)]
+    lines = [f"v {x:.17g} {y:.17g} {z:.17g}" for x, y, z in points] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (tmp_path / "body.obj").write_text("\n".join(lines))
+    values, files, links = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)
+    assert re.fullmatch(
+        r"link 'body': mesh 'body.obj' has 800 triangles: its convex hull stands for it, and the mesh protrudes by up "
+        r"to \d(\.\d)? mm",
+        links.notes[0],
+    )
+    (solid,) = Scene.from_parameters(values | {"cloth.position": [0.0, 0.0, 9.0]}, files=files).solids
+    assert solid.vertices is not None
+    assert len(solid.vertices) == 48
+    assert mesh_distance(np.array(points), solid.vertices, solid.triangles)[0].max() < 0.005
 
 
 @pytest.mark.parametrize(

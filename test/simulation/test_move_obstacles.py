@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.robots import ARM, robot_scene
 
 from cloth_sim_ros import Move, Scene, Simulation
+from cloth_sim_ros.simulation.bodies.obstacles import gaps
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import MoveObstacles, from_dict, to_dict
+from cloth_sim_ros.simulation.frame import Frame
 
 NAMES = ("left", "right", "far")
 
@@ -83,3 +86,41 @@ def test_invalid_move_of_several_is_refused(event: MoveObstacles, reason: str) -
     with pytest.raises(EventError, match=reason):
         simulation.advance([event])
     assert simulation.state.digest() == before
+
+
+def test_link_out_of_reach_lets_the_cloth_sleep_and_a_near_one_wakes_it() -> None:
+    scene, links = robot_scene(ARM, {"cloth.resolution": [5, 5], "air.drag": 5.0, "robot.position": [1.2, 0.0, 0.5]})
+    simulation = Simulation(scene)
+
+    def move(shoulder: float) -> Frame:
+        return simulation.advance([MoveObstacles(links.names, links.poses({"shoulder": shoulder}))])
+
+    angles = (0.1 * math.sin(0.05 * frame) for frame in range(600))
+    while not simulation.asleep:
+        move(next(angles))
+    frame = move(next(angles))
+    assert frame.advance is not None
+    assert (frame.advance.steps, simulation.asleep) == (0, True)
+    assert simulation.obstacles is not None
+    assert not simulation.obstacles.is_at_rest
+    for k in range(60):
+        move(-0.04 * k)
+        if not simulation.asleep:
+            break
+    assert not simulation.asleep, "a link that comes near wakes it"
+
+
+def test_links_that_may_touch_are_those_within_reach() -> None:
+    scene, links = robot_scene(ARM, {"cloth.resolution": [5, 5], "robot.position": [0.9, 0.0, 0.5]})
+    simulation = Simulation(scene)
+    for angle in (0.0, -0.3, -0.6):
+        simulation.advance([MoveObstacles(links.names, links.poses({"shoulder": angle}))])
+        is_away = simulation.frame_controls.contact.is_away
+        assert simulation.obstacles is not None
+        x = simulation.state.x
+        for k, (solid, pose) in enumerate(zip(simulation.obstacles.solids, simulation.obstacles.poses(), strict=True)):
+            if is_away[k]:
+                assert gaps(solid, pose, x).min() > scene.contact.thickness
+    # The far base is away, and the hand of the lowered arm is not.
+    assert is_away[links.links.index("base")]
+    assert not is_away[links.links.index("hand")]
