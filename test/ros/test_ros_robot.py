@@ -16,6 +16,7 @@ import attrs
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from support.clocked_cloth import SECOND, ClockedCloth
@@ -24,8 +25,10 @@ from support.ros_client import Client
 
 from cloth_sim_ros.ros.io.robot_start import link_poses
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation.events import Reset
+from cloth_sim_ros.verify.markers import MARKERS
 from cloth_sim_ros.verify.run import verify
 
 AT: dict[str, Any] = {"robot.enabled": True, "robot.position": [1.1, 0.0, 0.5]}
@@ -52,7 +55,7 @@ def state(positions: Any, names: Any = ARM_JOINTS, *, stamp: int = 0) -> JointSt
 
 
 @contextmanager
-def repeated(client: Client, *messages: JointState, topic: str = "/joint_states") -> Iterator[None]:
+def repeated(client: Client, *messages: JointState | bytes, topic: str = "/joint_states") -> Iterator[None]:
     """Publish joint states until the context ends, because a starting node misses those before its subscription."""
     publisher, done = client.node.create_publisher(JointState, topic, 10), threading.Event()
 
@@ -124,6 +127,30 @@ def test_description_comes_from_its_latched_topic(client: Client, capfd: pytest.
     with cloth:
         assert cloth.simulation.scene.obstacle_names == ["hand"]
         assert "1 collision shapes of 1 links are obstacles" in capfd.readouterr().err
+
+
+def test_start_survives_invalid_bytes_and_tells_of_a_new_description(
+    client: Client, capfd: pytest.CaptureFixture[str]
+) -> None:
+    description = client.node.create_publisher(String, "/robot_description", LATCHED)
+    description.publish(String(data=ARM))
+    invalid = serialize_message(state((0.1,), ("shoulder",)))[:20]
+    with repeated(client, invalid, state((0.0, 0.0, 0.0, 0.0))):
+        cloth = ClockedCloth(client, {**AT, "robot.links": ["hand"]})
+    with cloth:
+        assert "bytes on /joint_states are no JointState; check the type" in capfd.readouterr().err
+        log = ""
+
+        def is_told() -> bool:
+            nonlocal log
+            log += capfd.readouterr().err
+            return "the robot's description on /robot_description has changed" in log
+
+        for _ in range(3):
+            description.publish(String(data=ARM.replace('name="arm"', 'name="other"')))
+            cloth.client.spin_until(is_told, description="the warning of a new description")
+        cloth.tick()
+        assert (log + capfd.readouterr().err).count("has changed") == 1
 
 
 def test_unnamed_joint_stays_at_zero_with_a_warning(
@@ -240,8 +267,15 @@ def test_recorded_session_runs_again_without_description(client: Client, descrip
     Path(description).unlink()
     (path,) = (tmp_path / "sessions").glob("*.mcap")
     with SessionReader([path]) as reader:
-        topics = {message.topic for message in reader.messages()}
-    assert "/joint_states" in topics
+        messages = list(reader.messages())
+    assert "/joint_states" in {message.topic for message in messages}
+    # The markers show the links where they are.
+    drawn = decode([message for message in messages if message.topic.endswith("/obstacles")][-1].data, MARKERS).markers
+    (hand,) = [marker for marker in drawn if marker.ns.endswith("/hand")]
+    expected = robot_scene(ARM, {**AT, "robot.position": [0.75, 0.0, 0.6]})[1].link_pose(
+        "hand", np.array([-0.38, 0.19, 0.0, 0.02])
+    )
+    assert abs(hand.pose.position.x - expected[0]) < 0.02
     verdict = verify([path])
     assert verdict.same
     assert verdict.frames == 20

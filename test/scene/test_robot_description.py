@@ -100,6 +100,45 @@ def test_description_with_a_fault_is_refused_by_name(text: str, reason: str) -> 
         parse(text)
 
 
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (
+            '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa">'
+            + "".join(f'<!ENTITY {chr(98 + k)} "{f"&{chr(97 + k)};" * 10}">' for k in range(9))
+            + ']><robot name="r"><link name="&j;"/></robot>',
+            "is no XML",
+        ),
+        (
+            '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]><robot><link name="a">&x;</link></robot>',
+            "is no XML",
+        ),
+        ('<robot name="\xe9">'.encode("latin-1"), "is no XML"),
+        (robot(f'{LINKS}<joint name="j" type="fixed">{ENDS}<origin xyz="1e300 0 0"/></joint>'), "of at most 10000"),
+        (
+            robot('<link name="a"><collision><geometry><sphere radius="1e300"/></geometry></collision></link>'),
+            "has radius '1e300'; give 1 finite numbers of at most 10000",
+        ),
+        (
+            robot(f'{LINKS}<joint name="j" type="revolute">{ENDS}<limit lower="2" upper="1"/></joint>'),
+            "joint 'j' of the robot has the limits 2 to 1; exchange them",
+        ),
+    ],
+)
+def test_hostile_description_is_refused(text: str | bytes, reason: str) -> None:
+    with pytest.raises(ParameterError, match=reason):
+        parse(text)
+
+
+def test_time_to_read_grows_with_the_number_of_links() -> None:
+    # The square of this number would take minutes.
+    links = "".join(f'<link name="l{k}"/>' for k in range(20001))
+    joints = "".join(
+        f'<joint name="j{k}" type="fixed"><parent link="l{k}"/><child link="l{k + 1}"/></joint>' for k in range(20000)
+    )
+    assert parse(robot(links + joints)).joints[-1].child == "l20000"
+
+
 def test_circle_of_links_is_refused() -> None:
     links = '<link name="root"/><link name="a"/><link name="b"/>'
     joints = "".join(

@@ -190,12 +190,18 @@ def test_fine_mesh_becomes_a_hull_of_few_vertices(tmp_path: Path) -> None:
     # A ball with a waist: closed, not convex, 800 triangles.
     angles, turns = np.linspace(0.0, math.pi, 22)[1:-1], 2.0 * math.pi * np.arange(20) / 20.0
     radii = 0.05 * np.sin(angles) * (1.0 - 0.3 * np.exp(-((10.0 * np.cos(angles)) ** 2)))
-    points = [(r * math.cos(t), r * math.sin(t), -0.05 * math.cos(a)) for a, r in zip(angles, radii) for t in turns]
+    points = [
+        (r * math.cos(t), r * math.sin(t), -0.05 * math.cos(a))
+        for a, r in zip(angles, radii, strict=True)
+        for t in turns
+    ]
     points += [(0.0, 0.0, -0.05), (0.0, 0.0, 0.05)]
     faces = [(400, (i + 1) % 20, i) for i in range(20)] + [(401, 380 + i, 380 + (i + 1) % 20) for i in range(20)]
     for a, b in ((20 * k + i, 20 * k + (i + 1) % 20) for k in range(19) for i in range(20)):
         faces += [(a, b, b + 20), (a, b + 20, a + 20)]
-    lines = [f"v {x:.17g} {y:.17g} {z:.17g}" for x, y, z in points] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    lines = [f"v {x:.17g} {y:.17g} {z:.17g}" for x, y, z in points] + [
+        f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces
+    ]
     (tmp_path / "body.obj").write_text("\n".join(lines))
     values, files, links = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)
     assert re.fullmatch(

@@ -12,6 +12,7 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -52,6 +53,8 @@ class RobotStart:
         self.links: RobotLinks | None = None
         self.states = JointStates(())
         self.frames: FrameTransformer | None = None
+        #: The description from its topic, and the newest other one, which is not used.
+        self._description = self._ignored = ""
 
     def extend(self, values: Mapping[str, Any], files: Mapping[str, bytes]) -> tuple[dict[str, Any], dict[str, bytes]]:
         """Return a scene's parameters with the links at their present poses, and the contents of the scene's files.
@@ -81,20 +84,28 @@ class RobotStart:
         return with_poses(extended, links, poses), contents
 
     def _await_description(self, settings: RobotParameters) -> str:
-        received: list[str] = []
-        subscription = self._node.create_subscription(
-            String, settings.description_topic, lambda message: received.append(message.data), DESCRIPTION_QOS
-        )
         topic = self._node.resolve_topic_name(settings.description_topic)
+
+        def receive(data: bytes) -> None:
+            text = self._read(data, String, topic).data
+            self._description = self._description or text
+            if text not in (self._description, self._ignored, ""):
+                self._ignored = text
+                self._node.get_logger().warning(
+                    f"the robot's description on {topic} has changed: the links stay those of the first one; restart "
+                    "the node to use the new one"
+                )
+
+        # It stays, to tell of changes.
+        self._node.create_subscription(String, settings.description_topic, receive, DESCRIPTION_QOS, raw=True)
         self._wait(
-            lambda: bool(received),
+            lambda: bool(self._description),
             lambda: (
                 f"waiting for the robot's description on {topic} (robot.description_topic): start "
                 "robot_state_publisher, or set robot.description_file"
             ),
         )
-        self._node.destroy_subscription(subscription)
-        return received[-1]
+        return self._description
 
     def _await_poses(self, links: RobotLinks, settings: RobotParameters) -> Array:
         """Wait for the poses of the links; return them, shape (count, 7)."""
@@ -113,10 +124,14 @@ class RobotStart:
         if settings.source == TF:
             self._wait(find_poses, lambda: f"waiting for the TF frames of the robot's links: {reason}")
             return poses[-1]
-        subscription = self._node.create_subscription(
-            JointState, settings.joint_states_topic, self._receive, JOINT_STATES_QOS
-        )
         topic = self._node.resolve_topic_name(settings.joint_states_topic)
+
+        def receive(data: bytes) -> None:
+            self._receive(self._read(data, JointState, topic))
+
+        subscription = self._node.create_subscription(
+            JointState, settings.joint_states_topic, receive, JOINT_STATES_QOS, raw=True
+        )
         first = 0.0
 
         def is_complete() -> bool:
@@ -145,6 +160,17 @@ class RobotStart:
         self._wait(find_poses, lambda: f"waiting for the robot's mount (robot.frame): {reason}")
         self._node.destroy_subscription(subscription)
         return poses[-1]
+
+    def _read(self, data: bytes, kind: Any, topic: str) -> Any:
+        """Return a message from its bytes; an empty one, with a warning, if they are none of that type."""
+        try:
+            return deserialize_message(data, kind)
+        except (RuntimeError, UnicodeDecodeError):
+            self._node.get_logger().warning(
+                f"{len(data)} bytes on {topic} are no {kind.__name__}; check the type of its publisher",
+                throttle_duration_sec=1.0,
+            )
+            return kind()
 
     def _receive(self, message: JointState) -> None:
         now = self._node.get_clock().now().nanoseconds

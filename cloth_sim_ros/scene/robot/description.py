@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from typing import Any
 from xml.etree import ElementTree
@@ -22,6 +23,8 @@ UNSUPPORTED = ("floating", "planar")
 _KINDS = (*ROTATING, *SLIDING, *UNSUPPORTED, "fixed")
 #: Largest length of a description [bytes].
 MAX_BYTES = 64 << 20
+#: Largest coordinate, size and factor [m, rad or 1], and the limit of a joint beyond which it counts as this one.
+_MAX_NUMBER, _MAX_LIMIT = 1e4, 1e9
 
 
 @attrs.frozen(kw_only=True)
@@ -104,9 +107,8 @@ def parse(text: str | bytes) -> RobotDescription:
             raise ParameterError(f"the robot's description has two links '{name}'; give each its own name")
         shapes[name] = tuple(_shape(collision, name) for collision in link.findall("collision"))
     joints = [_joint(element) for element in root.findall("joint")]
-    names = [joint.name for joint in joints]
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise ParameterError(f"the robot's description has two joints '{repeated[0]}'; give each its own name")
+    if repeated := _repeated([joint.name for joint in joints]):
+        raise ParameterError(f"the robot's description has two joints '{repeated}'; give each its own name")
     return _ordered(shapes, joints)
 
 
@@ -132,6 +134,11 @@ def _squared(matrix: Array) -> Array:
     return matrix @ matrix
 
 
+def _repeated(names: Sequence[str]) -> str:
+    """Return the first name that occurs more than once; empty if none does."""
+    return min((name for name, count in Counter(names).items() if count > 1), default="")
+
+
 def _ordered(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint]) -> RobotDescription:
     """Return the robot with its joints ordered from the root.
 
@@ -142,23 +149,27 @@ def _ordered(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint])
         for link in (joint.parent, joint.child):
             if link not in shapes:
                 raise ParameterError(f"joint '{joint.name}' of the robot names the link '{link}', which does not exist")
-    children = [joint.child for joint in joints]
-    if repeated := sorted({name for name in children if children.count(name) > 1}):
-        raise ParameterError(f"link '{repeated[0]}' of the robot is the child of two joints; a robot is a tree")
+    if repeated := _repeated([joint.child for joint in joints]):
+        raise ParameterError(f"link '{repeated}' of the robot is the child of two joints; a robot is a tree")
+    children = {joint.child for joint in joints}
     roots = [link for link in shapes if link not in children]
     if len(roots) != 1:
         raise ParameterError(
             f"the robot's description has {len(roots)} links without a parent ({', '.join(roots[:5]) or 'none'}); a "
             "robot is a tree with one root: connect them by joints"
         )
+    of_parents = defaultdict[str, list[Joint]](list)
+    for joint in joints:
+        of_parents[joint.parent].append(joint)
     ordered: list[Joint] = []
     waiting = [roots[0]]
     while waiting:
-        parent = waiting.pop()
-        ordered += (new := [joint for joint in joints if joint.parent == parent])
+        new = of_parents.get(waiting.pop(), [])
+        ordered += new
         waiting += [joint.child for joint in new]
     if len(ordered) != len(joints):
-        missing = next(joint.name for joint in joints if joint not in ordered)
+        known = {joint.name for joint in ordered}
+        missing = next(joint.name for joint in joints if joint.name not in known)
         raise ParameterError(f"joint '{missing}' of the robot is part of a circle of links; a robot is a tree")
     movable = {joint.name: joint for joint in joints if joint.is_movable}
     for joint in joints:
@@ -185,7 +196,10 @@ def _joint(element: ElementTree.Element) -> Joint:
         raise ParameterError(f"{subject} of the robot has the axis {axis.tolist()}; it must not be 0")
     lower, upper, limit = -math.inf, math.inf, element.find("limit")
     if kind in ("revolute", "prismatic") and limit is not None:
-        lower, upper = (_numbers(limit, bound, (0.0,), subject)[0] for bound in ("lower", "upper"))
+        ends = (_numbers(limit, bound, (0.0,), subject, max_number=math.inf)[0] for bound in ("lower", "upper"))
+        lower, upper = (min(max(end, -_MAX_LIMIT), _MAX_LIMIT) for end in ends)
+        if lower > upper:
+            raise ParameterError(f"{subject} of the robot has the limits {lower:g} to {upper:g}; exchange them")
     mimic, mimicked = None, element.find("mimic")
     if mimicked is not None and kind in (*ROTATING, *SLIDING):
         mimic = Mimic(
@@ -237,7 +251,7 @@ _SIZES = {
 
 def _sizes(element: ElementTree.Element, name: str, count: int, subject: str) -> Iterator[float]:
     for entry in _numbers(element, name, (math.nan,) * count, subject):
-        if not 0.0 < entry < math.inf:
+        if not entry > 0.0:
             raise ParameterError(f"{subject} is a {element.tag} whose {name} is {entry:g} m; it must be above 0")
         yield entry
 
@@ -257,8 +271,10 @@ def _attribute(element: ElementTree.Element | None, name: str, subject: str) -> 
     return value
 
 
-def _numbers(element: Any, name: str, default: tuple[float, ...], subject: str) -> tuple[float, ...]:
-    """Return the finite numbers of an attribute, as many as the default has; the default if it is missing."""
+def _numbers(
+    element: Any, name: str, default: tuple[float, ...], subject: str, *, max_number: float = _MAX_NUMBER
+) -> tuple[float, ...]:
+    """Return the numbers of an attribute, as many as the default has; the default if it is missing."""
     text = None if element is None else element.get(name)
     if text is None:
         return default
@@ -266,6 +282,9 @@ def _numbers(element: Any, name: str, default: tuple[float, ...], subject: str) 
         numbers = tuple(map(float, text.split()))
     except ValueError:
         numbers = ()
-    if len(numbers) != len(default) or not all(map(math.isfinite, numbers)):
-        raise ParameterError(f"{subject} of the robot has {name} '{text[:80]}'; give {len(default)} finite numbers")
+    if len(numbers) != len(default) or not all(math.isfinite(a) and abs(a) <= max_number for a in numbers):
+        most = "" if max_number == math.inf else f" of at most {max_number:g}"
+        raise ParameterError(
+            f"{subject} of the robot has {name} '{text[:80]}'; give {len(default)} finite numbers{most}"
+        )
     return numbers

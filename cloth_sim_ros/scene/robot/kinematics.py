@@ -42,6 +42,8 @@ class Kinematics:
                 self.placements[joint.child] = (body, placement @ joint.origin)
         #: Names of the joints that have a position of their own.
         self.joint_names = tuple(joint.name for joint in self._joints if joint.mimic is None)
+        self._named = {joint.name: joint for joint in self._joints}
+        self._indices = {name: k for k, name in enumerate(self.joint_names)}
         self._constants = np.array([_constants(*pair) for pair in zip(self._origins, self._joints, strict=True)])
         self._constants.shape = (len(self._joints), 3, 16)
         self._is_rotating = np.array([joint.kind in ROTATING for joint in self._joints], dtype=bool)
@@ -53,7 +55,7 @@ class Kinematics:
 
     def positions(self, values: Mapping[str, float]) -> Array:
         """Return the positions of `joint_names` [rad or m]; a missing one is 0, or the limit that is nearest to 0."""
-        joints = {joint.name: joint for joint in self._joints}
+        joints = self._named
         return np.array(
             [
                 float(values[name]) if name in values else min(max(0.0, joints[name].lower), joints[name].upper)
@@ -112,12 +114,9 @@ class Kinematics:
     def _travel(self, index: int) -> float:
         """Return the largest displacement of a sliding joint [m]; infinite without limits."""
         joint = self._joints[index]
-        source = self._named(self.joint_names[self._source_indices[index]])
+        source = self._named[self.joint_names[self._source_indices[index]]]
         ends = [self._multipliers[index] * end + self._offsets[index] for end in (source.lower, source.upper)]
         return min(max(map(abs, ends)), max(abs(joint.lower), abs(joint.upper)))
-
-    def _named(self, name: str) -> Joint:
-        return next(candidate for candidate in self._joints if candidate.name == name)
 
     def _source(self, joint: Joint) -> tuple[int, float, float]:
         """Return the index in `joint_names` of the joint that a joint follows, the multiplier and the offset."""
@@ -125,8 +124,8 @@ class Kinematics:
         while joint.mimic is not None:
             mimic = joint.mimic
             multiplier, offset = multiplier * mimic.multiplier, offset + multiplier * mimic.offset
-            joint = self._named(mimic.joint)
-        return self.joint_names.index(joint.name), multiplier, offset
+            joint = self._named[mimic.joint]
+        return self._indices[joint.name], multiplier, offset
 
 
 def poses_of(transforms: Array) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -303,13 +304,12 @@ def _friction(scene: Scene, link: str) -> tuple[float, ...]:
 
 def _names(links: Sequence[str], used: Collection[str]) -> list[str]:
     """Return a name for the obstacle of each link: valid in ROS, and not used."""
-    names = list[str]()
-    used = set(used)
+    names, counts, used = list[str](), Counter(links), set(used)
     for link in links:
         plain = re.sub(r"\W", "_", link, flags=re.ASCII)
         stem = plain if NAME.fullmatch(plain) else f"link_{plain}"
         name, count = stem, 0
-        if links.count(link) > 1 or name in used:
+        if counts[link] > 1 or name in used:
             name, count = f"{stem}_0", 0
             while name in used:
                 count += 1
