@@ -17,9 +17,10 @@ SHELL := /bin/sh
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
-TESTS ?= test/engine/test_cpp.py test/engine/test_engine_band.py test/engine/test_engine_bad_input.py \
-    test/engine/test_engine_corners.py test/engine/test_grid_bends.py test/physics/test_plan.py test/physics/test_plan_python_forces.py \
-    test/physics/test_extrapolation_tableau.py test/physics/test_contact_runs.py test/physics/test_self_contact_law.py
+TESTS ?= test/camera/test_depth_camera.py test/engine/test_cpp.py test/engine/test_engine_band.py \
+    test/engine/test_engine_bad_input.py test/engine/test_engine_corners.py test/engine/test_grid_bends.py \
+    test/physics/test_plan.py test/physics/test_plan_python_forces.py test/physics/test_extrapolation_tableau.py \
+    test/physics/test_contact_runs.py test/physics/test_self_contact_law.py
 
 CPP = $(shell find cloth_sim_ros/engine test/engine scripts -path '*/doctest' -prune -o \( -name '*.hpp' -o -name '*.cpp' \) -print)
 

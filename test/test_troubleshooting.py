@@ -20,6 +20,7 @@ PAGES = [
     for name in (
         "troubleshooting.md",
         "troubleshooting_start.md",
+        "node/cameras.md",
         "node/gripper_action.md",
         "node/simulation_interfaces.md",
     )

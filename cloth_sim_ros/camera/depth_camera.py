@@ -81,10 +81,11 @@ class DepthCamera:
         labels = image.labels
         with np.errstate(divide="ignore"):
             depths = np.reciprocal(image.inverse_depths)
-        out_of_range = (depths < self.parameters.min_depth) | (depths > self.parameters.max_depth)
-        depths[out_of_range] = np.nan
-        labels[out_of_range] = NO_LABEL
-        return self._with_noise(depths, frame), labels
+        self._remove_out_of_range(depths, labels)
+        if self.parameters.disparity_noise or self.parameters.disparity_step:
+            depths = self._with_noise(depths, frame)
+            self._remove_out_of_range(depths, labels)
+        return depths, labels
 
     def points(self, depths: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the points of depths [m] in the optical frame, shape (height, width, 3)."""
@@ -94,11 +95,15 @@ class DepthCamera:
         points[..., 2] = depths
         return points
 
+    def _remove_out_of_range(self, depths: NDArray[np.float32], labels: NDArray[np.uint16]) -> None:
+        """Remove depths [m] out of the camera's range, and their labels."""
+        out_of_range = ~((depths >= self.parameters.min_depth) & (depths <= self.parameters.max_depth))
+        depths[out_of_range] = np.nan
+        labels[out_of_range] = NO_LABEL
+
     def _with_noise(self, depths: NDArray[np.float32], frame: int) -> NDArray[np.float32]:
         """Return depths as a stereo camera measures them, by disparity fx baseline / z; overwrites its argument."""
         camera = self.parameters
-        if not camera.disparity_noise and not camera.disparity_step:
-            return depths
         scale = np.float32(self.intrinsics[0] * camera.baseline)
         disparities = np.divide(scale, depths, out=depths)
         if camera.disparity_noise:
@@ -110,8 +115,9 @@ class DepthCamera:
             disparities /= step
             np.rint(disparities, out=disparities)
             disparities *= step
-        disparities[disparities <= 0.0] = np.nan
-        return np.divide(scale, disparities, out=disparities)
+        # Without a disparity above 0 the depth is infinite or negative, out of range.
+        with np.errstate(divide="ignore"):
+            return np.divide(scale, disparities, out=disparities)
 
 
 _Motion = tuple[Array, Array]

@@ -223,26 +223,27 @@ class ClothNode:
         with self._lock, ignore_errors_after_shutdown(self.node):
             # An aborted frame still works on the cloth.
             if not self.frame_aborted:
-                self.failure.run(lambda: self._frame(tick), tick.stamp)
+                self.failure.run(lambda: self._frame(tick), self.timing.stamps(tick)[0])
 
     def _frame(self, tick: FrameTick) -> None:
         """Compute one frame with the waiting events, publish it, answer the events and report it."""
         start = time.monotonic()
         first, last = self.timing.clock_pause.events(stands=tick.stands)
-        self.recording.session.before_frame(tick.stamp)
+        stamp, last_command = self.timing.stamps(tick)
+        self.recording.session.before_frame(stamp)
         self.reporting.accuracy.before_frame()
-        now = max(tick.stamp, tick.now)
-        first += [*self.inputs.events(tick.stamp, now), *self.timing.governor.events()]
-        frame = self.stepper.advance(now, first, last=last)
+        first += [*self.inputs.events(stamp, last_command), *self.timing.governor.events()]
+        frame = self.stepper.advance(last_command, first, last=last)
         if frame is None:
             return
+        stamp = self.timing.publish_clock(frame, stamp)
         if self.stepper.refused_parameters:
             self.inputs.return_parameters(self.stepper.refused_parameters)
         self.inputs.observe(frame)
         self.reporting.observe(frame, self.stepper.trouble)
         if self.outputs.must_publish(frame, start):
-            self.recording.session.add_frame(frame, tick.stamp)
-            self.outputs.send(frame, tick.stamp)
+            self.recording.session.add_frame(frame, stamp)
+            self.outputs.send(frame, stamp)
         self.recording.session.commit()
         # Last, because an answer is final.
         self.stepper.answer()

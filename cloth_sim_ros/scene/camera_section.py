@@ -12,7 +12,13 @@ from cloth_sim_ros.scene.parameters.declare import parameter
 #: Encodings of depth images (REP 118).
 ENCODINGS = METRES, MILLIMETRES = ("32FC1", "16UC1")
 #: Largest width and height of an image [pixels].
-MAX_PIXELS = 4096
+MAX_WIDTH = 4096
+#: Largest number of pixels of an image: its points fit into the 64 MiB of shared memory that the middleware gets.
+MAX_PIXELS = 5_500_000
+#: Least fx and fy [pixels]: that of one pixel with the largest field of view.
+MIN_FOCAL_LENGTH = 0.01
+#: Largest depth of 16UC1 [m].
+MAX_MILLIMETRES_DEPTH = 65.535
 
 
 @attrs.frozen(kw_only=True)
@@ -22,8 +28,8 @@ class CameraParameters:
     Its optical frame has x right, y down and z forward (REP 103).
     """
 
-    width: int = parameter("int", 640, "Columns of its images", min=1, max=MAX_PIXELS, observes=True)
-    height: int = parameter("int", 480, "Rows of its images", min=1, max=MAX_PIXELS, observes=True)
+    width: int = parameter("int", 640, "Columns of its images", min=1, max=MAX_WIDTH, observes=True)
+    height: int = parameter("int", 480, "Rows of its images", min=1, max=MAX_WIDTH, observes=True)
     fov: float = parameter(
         "double",
         1.2,
@@ -40,7 +46,7 @@ class CameraParameters:
         length=4,
         min=-1e6,
         max=1e6,
-        constraint="fx and fy above 0, or all 0",
+        constraint=f"fx and fy at least {MIN_FOCAL_LENGTH:g}, or all 0",
         observes=True,
     )
     rate: float = parameter(
@@ -56,7 +62,14 @@ class CameraParameters:
         "double", 0.1, "Least depth; nearer surfaces have none", unit="m", min=0.001, max=1e4, observes=True
     )
     max_depth: float = parameter(
-        "double", 10.0, "Largest depth; farther surfaces have none", unit="m", min=0.001, max=1e4, observes=True
+        "double",
+        10.0,
+        "Largest depth; farther surfaces have none",
+        unit="m",
+        min=0.001,
+        max=1e4,
+        constraint=f"at most {MAX_MILLIMETRES_DEPTH} for 16UC1",
+        observes=True,
     )
     position: tuple[float, ...] = parameter(
         "double[]",

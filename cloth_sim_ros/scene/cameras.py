@@ -8,7 +8,14 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from cloth_sim_ros.physics.plan.gripper_path import normalized
-from cloth_sim_ros.scene.camera_section import CameraParameters
+from cloth_sim_ros.scene.camera_section import (
+    MAX_MILLIMETRES_DEPTH,
+    MAX_PIXELS,
+    METRES,
+    MILLIMETRES,
+    MIN_FOCAL_LENGTH,
+    CameraParameters,
+)
 from cloth_sim_ros.scene.obstacles import check_distinct
 from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters.declare import NAME, Faults, Parameter, ParameterError
@@ -83,16 +90,25 @@ def _article(kind: str) -> str:
 
 
 def _faults(name: str, camera: CameraParameters) -> Iterator[str]:
-    fx, fy, _, _ = camera.intrinsics
-    if any(camera.intrinsics) and not (fx > 0.0 and fy > 0.0):
+    if camera.width * camera.height > MAX_PIXELS:
         yield (
-            f"{name}.intrinsics is {list(camera.intrinsics)}; fx and fy, its first entries, must be above 0 pixels, or "
-            f"all entries 0.0 for {name}.fov"
+            f"{name}.width x {name}.height is {camera.width * camera.height} pixels; an image has at most {MAX_PIXELS}"
+        )
+    fx, fy, _, _ = camera.intrinsics
+    if any(camera.intrinsics) and not min(fx, fy) >= MIN_FOCAL_LENGTH:
+        yield (
+            f"{name}.intrinsics is {list(camera.intrinsics)}; fx and fy, its first entries, must be at least "
+            f"{MIN_FOCAL_LENGTH:g} pixels, or all entries 0.0 for {name}.fov"
         )
     if camera.min_depth >= camera.max_depth:
         yield (
             f"{name}.min_depth is {camera.min_depth:g} m and {name}.max_depth {camera.max_depth:g} m; the first must "
             "be below the second"
+        )
+    if camera.encoding == MILLIMETRES and camera.max_depth > MAX_MILLIMETRES_DEPTH:
+        yield (
+            f"{name}.max_depth is {camera.max_depth:g} m; {MILLIMETRES} holds at most {MAX_MILLIMETRES_DEPTH} m: lower "
+            f"it, or set {name}.encoding to {METRES}"
         )
     try:
         normalized(camera.orientation)

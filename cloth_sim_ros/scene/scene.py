@@ -171,6 +171,12 @@ class Scene:
         "Serve the package simulation_interfaces: ~/get_simulator_features, ~/reset_simulation, ~/step_simulation, "
         "~/simulate_steps, ~/get_simulation_state and ~/set_simulation_state",
     )
+    publish_clock: bool = parameter(
+        "bool",
+        False,
+        "Publish the simulated time on /clock and stamp messages with it, for nodes with use_sim_time; for a graph "
+        "whose slowest simulator is the cloth",
+    )
     points: PointsParameters = section(PointsParameters)
     keypoints: tuple[str, ...] = parameter(
         "string[]",

@@ -212,6 +212,14 @@ def test_noise_grows_with_squared_depth_and_repeats() -> None:
         assert not np.array_equal(camera(triangles, "other", **values).view(ORIGIN, x, [], frame=3)[0], depths)
 
 
+@pytest.mark.parametrize("noise", [{"disparity_noise": 20.0}, {"disparity_step": 100.0}], ids=["noise", "step"])
+def test_noise_out_of_range_leaves_neither_depth_nor_label(noise: dict[str, float]) -> None:
+    x, triangles = sheet((0.5, -0.3), 1.0)
+    depths, labels = camera(triangles, min_depth=0.9, max_depth=1.2, **noise).view(ORIGIN, x, [])
+    assert np.isnan(depths).any() and np.array_equal(np.isnan(depths), labels == 0)
+    assert not np.any((depths < 0.9) | (depths > 1.2))
+
+
 def test_disparity_step_gives_steps_of_depth() -> None:
     x, triangles = sheet((0.5, -0.3), 1.0)
     view = camera(triangles, disparity_step=0.25)
@@ -253,3 +261,23 @@ def test_depth_image_refuses_bad_input() -> None:
     with pytest.raises(ValueError, match="placement has shape"):
         image.draw_solid(placement[:9], "sphere", np.ones(3), 1.0, 1)
     assert not image.labels.any()
+
+
+def test_triangles_around_a_corner_leave_no_hole() -> None:
+    # The corner projects onto the centre of a pixel, or beside it by rounding.
+    random = np.random.default_rng(0)
+    angles = np.arange(5) * (2.0 * math.pi / 5.0)
+    triangles = np.array([[0, 1 + k, 1 + (k + 1) % 5] for k in range(5)])
+    for _ in range(300):
+        width, height, focal_length = 31, 21, random.uniform(20.0, 100.0)
+        u, v = random.integers(10, 20), random.integers(6, 14)
+        view = camera(
+            triangles, width=width, height=height, intrinsics=(focal_length, focal_length, 15.0, 10.0), max_depth=9.0
+        )
+        depth = random.uniform(0.5, 3.0)
+        corner = np.array([(u - 15) * depth / focal_length, (v - 10) * depth / focal_length, depth])
+        around = angles + random.uniform(0.0, 1.0, 5)
+        ring = np.stack([np.cos(around), np.sin(around), random.uniform(-0.1, 0.1, 5)], axis=1)
+        x = np.ascontiguousarray(np.vstack([corner, corner + 0.2 * ring]).T)
+        depths, labels = view.view(ORIGIN, x, [])
+        assert labels[v, u] == 1 and depths[v, u] == pytest.approx(depth, rel=1e-6)

@@ -243,3 +243,45 @@ def test_piece_rejected_for_its_energy_leaves_no_energy_behind() -> None:
     controller.reject_energy(piece)
     # private: what the frame would store
     assert controller._energy.memory == EnergyState()
+
+
+def test_an_estimate_measures_one_displacement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each displacement takes up to nine force evaluations; errors of other numbers of runs are scaled from it."""
+    values = {"cloth.resolution": [8, 8], "material.damping": 0.5, "tolerance": 1e-6, "grippers": [""]}
+    simulation = Simulation(Scene.from_parameters(values))
+    plan, measured = simulation.plan, []
+    measure = plan.velocity_displacement
+
+    def counted(*arguments: Any) -> tuple[float, int]:
+        measured.append(arguments)
+        return measure(*arguments)
+
+    monkeypatch.setattr(plan, "velocity_displacement", counted)
+    calls = []
+    for _ in range(60):
+        measured.clear()
+        advance = simulation.advance().advance
+        if advance.rejected == 0 and advance.evaluations > advance.steps + 4:
+            calls.append(len(measured))
+    assert len(calls) > 5
+    assert sorted(calls)[len(calls) // 2] == 1
+
+
+@pytest.mark.parametrize(("accurate", "expected"), [(4e-9, [4e-9, 4e-9]), (1e-10, [1e-9, 1e-10])])
+def test_approximate_error_is_measured_before_it_raises_another(accurate: float, expected: list[float]) -> None:
+    estimate = ErrorEstimate(is_rough=False)
+    estimate.append(1e-9)
+    estimate.append(3e-9, is_approximate=True)
+    estimate.confirm(lambda n_runs: 1e-15, lambda n_runs: accurate)
+    assert estimate.errors == expected
+    assert not estimate.approximate
+
+
+def test_accurate_error_decides_where_an_approximate_one_fits() -> None:
+    estimate = ErrorEstimate(is_rough=False)
+    estimate.append(3e-9)
+    estimate.append(1e-10, is_approximate=True)
+    assert estimate.sufficient_runs(1, 1e-9) == 2
+    estimate.replace(2, 2e-9)
+    assert not estimate.approximate
+    assert estimate.sufficient_runs(1, 1e-9) == 1

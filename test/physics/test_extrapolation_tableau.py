@@ -152,9 +152,21 @@ def test_velocity_error_counts_with_its_later_displacement(values):
     simulation = started(values)
     runs = tableau(simulation)
     dv = runs.combine(2)[1] - runs.combine(1)[1]
-    displacement, steps = simulation.plan.velocity_displacement(0.0, runs.combine(2)[0], dv, 0.5)
-    assert steps > 0
+    displacement, evaluations = simulation.plan.velocity_displacement(0.0, runs.combine(2)[0], dv, 0.5)
+    assert evaluations > 1
     assert runs.difference(1) == pytest.approx(runs.change(1)[0] + displacement, rel=1e-12)
+
+
+@every_scene
+def test_approximate_difference_scales_the_last_displacement(values):
+    runs = tableau(started(values))
+    displacement = runs.difference(1) - runs.change(1)[0]
+    assert runs.approximate_difference(1) == pytest.approx(runs.difference(1), rel=1e-12)
+    runs.combine(3)
+    evaluations, (distance, velocity_change) = runs.evaluations, runs.change(2)
+    expected = distance + displacement * velocity_change / runs.change(1)[1]
+    assert runs.approximate_difference(2) == pytest.approx(expected, rel=1e-9)
+    assert runs.evaluations == evaluations
 
 
 @every_scene

@@ -7,7 +7,10 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import pickle
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,10 +27,11 @@ from support.ros_client import Client
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup, CameraTopics
 from cloth_sim_ros.ros.camera.camera_worker import CameraOutput
-from cloth_sim_ros.ros.io.tf_frames import FrameError
+from cloth_sim_ros.ros.io.tf_frames import MAX_TRANSFORM_AGE, FrameError
 from cloth_sim_ros.ros.process.worker_process import WorkerProcess
 from cloth_sim_ros.scene.camera_section import CameraParameters
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.session.child_process import child_environment
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.verify.run import verify
 
@@ -138,6 +142,18 @@ def test_millimetres_and_no_depth_are_encoded_by_rep_118(client: Client) -> None
     assert np.array_equal(depths == 0, labels == 0) and (depths == 0).any()
 
 
+def test_names_of_labels_need_no_subscriber_of_images(client: Client) -> None:
+    names: list[String] = []
+    client.node.create_subscription(String, "/cloth_sim/wrist/label_names", names.append, LATCHED)
+    with ClockedCloth(client, SCENE) as cloth:
+
+        def is_named() -> bool:
+            cloth.tick()
+            return bool(names)
+
+        client.spin_until(is_named, description="the names of labels")
+
+
 def test_nothing_is_rendered_without_subscribers(client: Client) -> None:
     with ClockedCloth(client, SCENE) as cloth:
         cameras = cloth.node.outputs.cameras
@@ -178,6 +194,44 @@ def test_rate_is_counted_in_frames(client: Client) -> None:
     assert np.all(np.abs(images - np.rint(images)) < 1e-3) and images.min() > 0.5, images
 
 
+class BusyProcess:
+    """Keeps the newest job, as a process that is not done."""
+
+    def __init__(self) -> None:
+        self.job: CameraFrame | None = None
+
+    @property
+    def has_waiting_job(self) -> bool:
+        """True if there is a job."""
+        return self.job is not None
+
+    def put(self, job: CameraFrame) -> CameraFrame | None:
+        """Replace the job."""
+        replaced, self.job = self.job, job
+        return replaced
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def test_slow_camera_gets_an_image_beside_a_fast_one(client: Client) -> None:
+    with ClockedCloth(client, {**SCENE, "cameras": ["wrist", "top"], "top.rate": 6.0}) as cloth:
+        cameras = cloth.node.outputs.cameras
+        assert cameras is not None
+        cameras.close()
+        process = BusyProcess()
+        cameras._process = process  # type: ignore[assignment]  # private: a process that tests can hold up
+        cameras._subscribed = frozenset({"wrist", "top"})  # private: as if it answered so
+        cloth.tick(25)
+        assert process.job is not None and process.job.cameras == {"wrist", "top"}
+        cloth.tick()
+        assert process.job.cameras == {"wrist", "top"}, "an image that was skipped is rendered later"
+        process.job = None
+        cloth.tick()
+        assert process.job.cameras == {"wrist"}
+        assert int(cameras.describe()["camera_images_skipped"]) > 25
+
+
 def test_camera_moves_by_its_parameters(client: Client) -> None:
     with ClockedCloth(client, SCENE) as cloth:
         watcher = Watcher(client, "depth/image_rect_raw")
@@ -200,12 +254,13 @@ def test_process_that_ends_leaves_the_node_running(client: Client, capfd: pytest
         # private: there is no other way to its process
         process = cameras._process._process  # type: ignore[union-attr]  # private, likewise
         assert process is not None
-        os.kill(process.pid, signal.SIGKILL)
-        client.spin_until(lambda: cameras.describe()["cameras"] == "ended by itself (status -9)", description="the end")
+        # SIGKILL while it sends may crash Fast DDS in this process.
+        os.kill(process.pid, signal.SIGTERM)
+        client.spin_until(lambda: cameras.describe()["cameras"] == "ended by itself (status 0)", description="the end")
         cloth.tick(5)
         cameras.report()
     assert (
-        "cameras send no images: their process ended by itself (status -9); restart the node" in capfd.readouterr().err
+        "cameras send no images: their process ended by itself (status 0); restart the node" in capfd.readouterr().err
     )
 
 
@@ -248,10 +303,16 @@ class StubTransformer:
 
     def __init__(self) -> None:
         self.pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+        #: Number of calls before the transform comes, and of calls for which an older one was enough.
+        self.n_missing = self.n_older = 0
 
-    def to_cloth(self, frame: str, *_: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def to_cloth(
+        self, frame: str, *_: Any, max_age: int = MAX_TRANSFORM_AGE
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the pose, or refuse."""
-        if self.pose is None:
+        self.n_missing -= 1
+        self.n_older += max_age > 0
+        if self.pose is None or (self.n_missing >= 0 and not max_age):
             raise FrameError(f"no transform from '{frame}'")
         return self.pose
 
@@ -297,6 +358,12 @@ def test_camera_follows_its_frame_when_it_is_known(client: Client) -> None:
     assert (images[0].header.frame_id, images[0].header.stamp.sec) == ("hand", 1)
     assert np.abs(pixels(images[0]) - 3.0).max() < 1e-6
     assert answers[1:] == [{"found": "camera 'arm' follows frame 'hand'", "camera": "arm"}]
+    frames.n_missing, frames.n_older = 3, 0
+    output.send(frame, bodies)
+    assert frames.n_missing < 0 and not frames.n_older, "it waits for the transform of the frame's time"
+    frames.n_missing = 10**9
+    output.send(frame, bodies)
+    assert frames.n_older == 1
     frames.pose = None
     output.send(frame, bodies)
     assert len(answers) == 3, "a frame that is lost again is reported"
@@ -346,6 +413,32 @@ def test_session_with_cameras_verifies(client: Client, tmp_path: Path) -> None:
         assert verdict.same and verdict.frames >= 39, verdict
         with SessionReader(path) as session:
             assert not [message.topic for message in session.messages() if "/wrist/" in message.topic]
+
+
+def test_camera_process_keeps_its_answers_from_other_output() -> None:
+    script = """
+import os, sys
+from cloth_sim_ros.ros.camera import camera_worker
+
+class Worker(camera_worker.CameraWorker):
+    def __init__(self, setup, answer):
+        os.write(1, b"log of a library")
+        answer({"warning": setup, "camera": ""})
+        sys.exit()
+
+camera_worker.CameraWorker = Worker
+camera_worker.main([str(os.getppid())])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        input=pickle.dumps("text"),
+        env=child_environment(),
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"warning": "text", "camera": ""}
+    assert b"log of a library" in done.stderr
 
 
 def test_node_without_cameras_starts_no_process(client: Client) -> None:

@@ -30,6 +30,10 @@ def test_cameras_are_described_by_their_names() -> None:
     [
         ({**WRIST, "wrist.width": 0}, "wrist.width is 0; it must be at least 1"),
         ({**WRIST, "wrist.height": 5000}, "wrist.height is 5000; it must be at most 4096"),
+        (
+            {**WRIST, "wrist.width": 4096, "wrist.height": 4096},
+            "wrist.width x wrist.height is 16777216 pixels; an image has at most 5500000",
+        ),
         ({"cameras": ["wrist", "wrist"]}, "two cameras are named 'wrist'; give each its own name"),
         ({**WRIST, "grippers": ["wrist"]}, "'wrist' names a camera and a gripper; give the camera another name"),
         (
@@ -43,7 +47,12 @@ def test_cameras_are_described_by_their_names() -> None:
         ({**WRIST, "wrist.orientation": [0.0] * 4}, "wrist.orientation: orientation .* is no quaternion"),
         ({**WRIST, "wrist.fov": 0.0}, "wrist.fov is 0.0 rad; it must be at least 0.01 rad"),
         ({**WRIST, "wrist.fov": math.pi}, "wrist.fov is 3.14159.* rad; it must be at most 3.1 rad"),
-        ({**WRIST, "wrist.intrinsics": [500.0, 0.0, 320.0, 240.0]}, "fx and fy, its first entries, must be above 0"),
+        ({**WRIST, "wrist.intrinsics": [500.0, 0.0, 320.0, 240.0]}, "fx and fy, its first .* must be at least 0.01"),
+        ({**WRIST, "wrist.intrinsics": [1e-300, 500.0, 320.0, 240.0]}, "must be at least 0.01 pixels, or all"),
+        (
+            {**WRIST, "wrist.max_depth": 70.0, "wrist.encoding": "16UC1"},
+            "wrist.max_depth is 70 m; 16UC1 holds at most 65.535 m: lower it, or set wrist.encoding to 32FC1",
+        ),
         (
             {**WRIST, "wrist.min_depth": 2.0, "wrist.max_depth": 2.0},
             "wrist.min_depth is 2 m and wrist.max_depth 2 m; the first must be below the second",

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     resume = "append each result to this file, and run only scenes without one"
     parser.add_argument("--resume", type=Path, metavar="FILE", help=resume)
     parser.add_argument("--climbs", type=int, default=200, help="number of climbs (200)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="wall time of a climb [s] (60)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="processor time of a climb [s] (60)")
     families = f"families of scenes to climb over, in turn (all): {', '.join(CLIMB_FAMILIES)}"
     parser.add_argument("--family", nargs="+", choices=CLIMB_FAMILIES, metavar="FAMILY", help=families)
     limit = "wall time limit of a scene; a scene that takes longer fails"

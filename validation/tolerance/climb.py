@@ -33,8 +33,10 @@ METHODS = ("hill", "evolution")
 _STARTS, _MAX_FAILURES = 6, (30, 200)
 #: Members of differential evolution's population.
 _POPULATION = 24
-#: Wall time of a climb's last scene beyond the climb's own time [s]; a scene that takes longer ends without a result.
+#: Time of a climb's last scene beyond the climb's own time [s]; a scene that takes longer ends without a result.
 _LAST_SCENE = 120.0
+#: Largest expected ratio of wall time to processor time.
+_LOAD = 10.0
 
 
 @attrs.frozen
@@ -45,7 +47,7 @@ class Climb:
     method: str
     seed: int
     index: int
-    #: Wall time [s].
+    #: Processor time [s].
     seconds: float
 
 
@@ -78,14 +80,14 @@ class _Objective:
     """Error ratio of the scene of a vector, and statistics of all of them."""
 
     def __init__(self, family: str, seconds: float) -> None:
-        self._family, self._end = family, time.monotonic() + seconds
+        self._family, self._end = family, time.process_time() + seconds
         self._vector = np.zeros(0)
         self._trial: Trial | None = None
         self._ratios = list[float]()
         self._ratio, self._counts = -1.0, dict.fromkeys(("scenes", "windows", "flagged", "unknown", "not_evaluated"), 0)
 
     def __call__(self, vector: Array) -> float:
-        if time.monotonic() > self._end:
+        if time.process_time() > self._end:
             raise _TimeOverError
         trial = evaluate_vector(self._family, vector)
         self._counts["scenes"] += 1
@@ -187,7 +189,7 @@ def _climb(options: argparse.Namespace) -> Report:
     command += f" --seed {options.seed}" + (f" --family {' '.join(families)}" if options.family else "")
     report = Report("Search for violations of the error bound", command)
     results = dict[Climb, ClimbResult]()
-    limits = {"workers": options.jobs, "limit": options.seconds + _LAST_SCENE}
+    limits = {"workers": options.jobs, "limit": _LOAD * (options.seconds + _LAST_SCENE)}
     dones = run_missing(run_climb, cases, **limits, file=options.resume, read=_read)
     for done in show_progress(dones, len(cases), "climb"):
         if done.result is None:

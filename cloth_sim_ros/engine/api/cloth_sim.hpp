@@ -87,8 +87,8 @@ CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t c
 CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths);
 CLOTH_API int cloth_frame(Plan* plan, const FrameRequest* frame);
 CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out);
-/// Largest displacement [m] of a particle that velocity errors (3, n) cause within a time [s], and the number of Lanczos
-/// steps. Contact and grips are left out.
+/// Largest displacement [m] of a particle that velocity errors (3, n) cause within a time [s], and the number of force
+/// evaluations that it took. Contact and grips are left out.
 CLOTH_API int cloth_velocity_displacement(Plan* plan, double t, const double* x, const double* errors, double time,
                                           double* out);
 /// Kinetic and potential energy [J], two numbers; v may be null.

@@ -141,7 +141,7 @@ CLOTH_API int cloth_velocity_displacement(Plan* plan, double t, const double* x,
     return guarded(plan, [&] {
         const plan::DisplacementEstimate estimate = plan::velocity_displacement(*plan, t, x, errors, time);
         out[0] = estimate.displacement;
-        out[1] = estimate.steps;
+        out[1] = estimate.evaluations;
     });
 }
 

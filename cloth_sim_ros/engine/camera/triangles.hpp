@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Triangles in a z-buffer. Two triangles with a common edge leave no pixel between them: their edge functions are
-// exact negatives of each other, and a pixel on the edge belongs to both.
+// Triangles in a z-buffer. Those with a common edge or corner leave no pixel between them: each also covers pixels up
+// to `margin` outside its edges, which is more than their rounding errors.
 #pragma once
 
 #include <cmath>
@@ -11,6 +11,9 @@
 #include "camera/z_buffer.hpp"
 
 namespace cloth::camera {
+
+/// Distance from its edges up to which a triangle covers pixels outside [pixels].
+constexpr double margin = 1e-9;
 
 /// A corner in the image: coordinates [pixels] and inverse depth [1/m].
 struct ImagePoint {
@@ -38,11 +41,12 @@ inline void draw_triangle(ZBuffer& buffer, const ImagePoint& a, ImagePoint b, Im
     const Window pixels = window(buffer.camera, std::ceil(lowest(a.u, b.u, c.u)), std::floor(highest(a.u, b.u, c.u)),
                                  std::ceil(lowest(a.v, b.v, c.v)), std::floor(highest(a.v, b.v, c.v)));
     if (pixels.u1 < pixels.u0 || pixels.v1 < pixels.v0) return;
-    // Edge function from p to q: (slope_u u + slope_v v) + offset, not negative inside.
+    // Edge function from p to q: (slope_u u + slope_v v) + offset, not negative inside and in the margin.
     struct Edge {
         double slope_u, slope_v, offset;
         Edge(const ImagePoint& p, const ImagePoint& q)
-            : slope_u(p.v - q.v), slope_v(q.u - p.u), offset(p.u * q.v - q.u * p.v) {}
+            : slope_u(p.v - q.v), slope_v(q.u - p.u),
+              offset(p.u * q.v - q.u * p.v + margin * (std::abs(slope_u) + std::abs(slope_v))) {}
         CLOTH_INLINE V at(V u, double v) const { return splat<V>(slope_u) * u + splat<V>(slope_v * v + offset); }
     };
     const Edge ab(a, b), bc(b, c), ca(c, a);

@@ -21,7 +21,7 @@ frame, or what halving in a rough motion has left.
 from __future__ import annotations
 
 import math
-from functools import cached_property
+from functools import cached_property, partial
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
@@ -51,6 +51,8 @@ from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
+#: Largest number of force evaluations of a displacement by velocities.
+DISPLACEMENT_EVALUATIONS = 9
 #: Minimum steps of a piece for halving; with fewer steps the runs of a half would not differ enough.
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Shortest piece, relative to the frame; in a frame of 60 Hz it is a nanosecond.
@@ -467,8 +469,11 @@ class Controller:
         if not self.estimates_error:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
-        for _ in range(self._count_estimates(tableau.counts)):
-            self._append_estimate(tableau)
+        n_estimates, chosen = self._count_estimates(tableau.counts), self.n_runs
+        if not self._is_rough:
+            self._measure_difference(tableau, chosen)
+        while len(errors) < n_estimates:
+            self._append_estimate(tableau, chosen)
         if (errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
             target, reserved = CONSTANTS.error_target_fraction * allowed, self._rest_work(piece)
             while len(errors) < self.options.n_runs and errors[-1] > target:
@@ -480,19 +485,35 @@ class Controller:
                 if tableau.single_precision and not self._precision.resolves_error(len(errors) + 2):
                     estimate.needs_double = self._fits(self.n_runs, self.refinement, piece)
                     break
-                self._append_estimate(tableau)
-        estimate.confirm(self._error.rounding_floor)
+                self._append_estimate(tableau, chosen)
+        floor, measure = self._error.rounding_floor, partial(self._measure_difference, tableau)
+        estimate.confirm(floor, measure)
         if not self.in_fallback:
-            self.n_runs = estimate.sufficient_runs(self.n_runs, allowed)
+            # Where an approximate error suffices, the accurate one decides.
+            while (n_runs := estimate.sufficient_runs(chosen, allowed)) in estimate.approximate:
+                estimate.replace(n_runs, measure(n_runs))
+                estimate.confirm(floor, measure)
+            self.n_runs = n_runs
         if self._is_rough:
             estimate.end_error = self._estimate_ends(tableau, t, piece)
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
-    def _append_estimate(self, tableau: ExtrapolationTableau) -> None:
-        """Append the error estimate of the next combination [m], and count its work."""
-        evaluations, error = tableau.evaluations, tableau.difference(len(self._estimate.errors) + 1)
+    def _append_estimate(self, tableau: ExtrapolationTableau, chosen: int) -> None:
+        """Append the error estimate of the next combination [m]; about it, if another combination is chosen."""
+        n_runs = len(self._estimate.errors) + 1
+        is_required = self._is_rough or chosen <= n_runs <= self._count_estimates(tableau.counts)
+        # A wrong approximation costs a run.
+        is_cheap = n_runs > chosen and tableau.counts[n_runs] > DISPLACEMENT_EVALUATIONS
+        is_accurate = is_required or is_cheap
+        error = self._measure_difference(tableau, n_runs, is_accurate=is_accurate)
+        self._estimate.append(error, is_approximate=not is_accurate)
+
+    def _measure_difference(self, tableau: ExtrapolationTableau, n_runs: int, *, is_accurate: bool = True) -> float:
+        """Return the error estimate of a combination [m], and count its work."""
+        evaluations = tableau.evaluations
+        error = tableau.difference(n_runs) if is_accurate else tableau.approximate_difference(n_runs)
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
-        self._estimate.append(error)
+        return error
 
     def _count_estimates(self, counts: tuple[int, ...]) -> int:
         """Return the number of estimates that the chosen runs need.
@@ -509,9 +530,9 @@ class Controller:
         tableau.commit(self.n_runs, end)
         for state, time, duration in ((self._state, t, -half_step), (end, t + piece.length, half_step)):
             change = missed_velocity_change(self._plan, state, time, duration)
-            displacement, steps = self._plan.velocity_displacement(time, state.x, change, VELOCITY_ERROR_TIME)
+            displacement, evaluations = self._plan.velocity_displacement(time, state.x, change, VELOCITY_ERROR_TIME)
             error += displacement
-            self.work.add(EVALUATIONS + 2 * steps)
+            self.work.add(EVALUATIONS + evaluations)
         return error
 
     def reject_inaccurate(self, piece: Piece, allowed: float) -> bool:
@@ -759,8 +780,9 @@ class Controller:
     def _record_estimate(self, sums: ErrorSums, target: float) -> None:
         """Record the estimates of a frame of equal pieces; choose runs and steps of the next one for a target [m]."""
         refinement, choice = self._applied_refinement, (self._stability, self._duration)
+        # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
         next_runs, next_refinement = self._error.choose(
-            sums.errors, refinement, target, *choice, present_runs=self.n_runs
+            sums.errors, refinement, target, *choice, rounding_fraction=self._frame.n_pieces, present_runs=self.n_runs
         )
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)

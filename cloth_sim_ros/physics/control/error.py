@@ -57,6 +57,8 @@ class ErrorEstimate:
     #: Errors of T_1, T_2, ... [m], and error that force jumps at the ends of the piece may cause [m].
     errors: list[float] = attrs.Factory(list)
     end_error: float = 0.0
+    #: Numbers of runs whose error is approximate.
+    approximate: set[int] = attrs.Factory(set)
     #: True if single precision does not resolve the error of further runs, which may suffice.
     needs_double: bool = False
 
@@ -64,27 +66,41 @@ class ErrorEstimate:
         """Return the error of a combination, that at the ends of the piece included [m]."""
         return self.errors[n_runs - 1] + self.end_error
 
-    def append(self, error: float) -> None:
+    def append(self, error: float, *, is_approximate: bool = False) -> None:
         """Append the error of the next combination [m].
 
         If the motion is rough, an estimate may be small by chance. Then it counts as at least what the gain of the
         combination before it makes plausible.
         """
         errors = self.errors
+        if is_approximate:
+            self.approximate.add(len(errors) + 1)
         if self.is_rough and errors:
             gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else CONSTANTS.first_gain
             error = max(error, errors[-1] * gain * gain)
         errors.append(error)
 
-    def confirm(self, rounding_floor: Callable[[int], float]) -> None:
+    def replace(self, n_runs: int, error: float) -> None:
+        """Replace an approximate error by an accurate one [m]."""
+        self.errors[n_runs - 1] = error
+        self.approximate.remove(n_runs)
+
+    def confirm(self, rounding_floor: Callable[[int], float], measure: Callable[[int], float]) -> None:
         """Raise each error that is far below a later one above rounding [m]: it is small by chance.
 
-        In a rough motion all errors must fit instead.
+        A later one that is approximate is measured first. In a rough motion all errors must fit instead.
+
+        Args:
+            rounding_floor: gives the rounding of an error [m] by its number of runs.
+            measure: gives the accurate error [m] of a number of runs.
         """
-        for k in range(0 if self.is_rough else len(self.errors) - 1, 0, -1):
-            floor = rounding_floor(k + 1)
-            if self.errors[k] > CONSTANTS.estimate_trust_factor * max(self.errors[k - 1], floor):
-                self.errors[k - 1] = self.errors[k]
+        errors = self.errors
+        for k in range(0 if self.is_rough else len(errors) - 1, 0, -1):
+            limit = CONSTANTS.estimate_trust_factor * max(errors[k - 1], rounding_floor(k + 1))
+            if errors[k] > limit and k + 1 in self.approximate:
+                self.replace(k + 1, measure(k + 1))
+            if errors[k] > limit:
+                errors[k - 1] = errors[k]
 
     def sufficient_runs(self, n_runs: int, allowed: float) -> int:
         """Return the number of runs whose error fits a budget [m]: the chosen one, another one, the chosen one if none.
@@ -233,7 +249,7 @@ class ErrorRule:
             target: aimed error [m].
             stability: requires a refinement of each number of runs.
             length: of the errors' interval [s].
-            rounding_fraction: fraction of the rounding error of a run that belongs to these errors.
+            rounding_fraction: rounding in these errors, relative to that of a run.
             rounded_steps: steps whose roundings of velocities count, see `rounding_floor`.
             present_runs: number of runs that needs no estimate in the next frame; 0 for none.
         """

@@ -121,14 +121,14 @@ class PlanQueries:
             time: time within which the displacement is observed [s].
 
         Returns:
-            The displacement, and the number of Lanczos steps, each of two force evaluations.
+            The displacement, and the number of force evaluations.
         """
         if self._grip_binding is not None:
             self._grip_binding.upload()
         addresses = doubles("x", x, self._shape), doubles("errors", errors, self._shape), time, self._query_address
         check(self._library.cloth_velocity_displacement(self._handle, t, *addresses))
-        displacement, steps = self._query_out
-        return displacement, int(steps)
+        displacement, evaluations = self._query_out
+        return displacement, int(evaluations)
 
     def min_damping_time(self) -> float:
         """Return the least c / k [s] of springs, joints and grips; 0 if one is undamped."""

@@ -3,7 +3,8 @@
 """Camera process: renders and publishes what the depth cameras of a node see.
 
 Usage: `python -m cloth_sim_ros.ros.camera.camera_worker PARENT`. Reads pickled objects from standard input: a
-`CameraSetup`, then a `CameraFrame` at a time. Ends with its input, or when the process PARENT ends.
+`CameraSetup`, then a `CameraFrame` at a time. Ends with its input, by SIGTERM, or when the process PARENT ends. It then
+leaves the ROS graph in order: Fast DDS may crash a subscriber of a process that is killed while it sends.
 
 Answers are lines of JSON with one of these keys:
 
@@ -19,10 +20,12 @@ import json
 import os
 import pickle
 import select
+import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -39,7 +42,7 @@ from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.ros.camera.camera_jobs import CameraFrame, CameraSetup
 from cloth_sim_ros.ros.camera.image_messages import CameraInfoMessage, ImageMessage, PointsMessage, millimetres
 from cloth_sim_ros.ros.io.qos_rules import CAMERA_INFO, DEPTH, LABEL_NAMES, LABELS, POINTS
-from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer, Pose
 from cloth_sim_ros.ros.io.transports import large_segment
 from cloth_sim_ros.scene.camera_section import MILLIMETRES
 
@@ -47,6 +50,8 @@ from cloth_sim_ros.scene.camera_section import MILLIMETRES
 _NICENESS = 10
 #: Period at which subscribers and the parent process are polled [s].
 _POLL_PERIOD = 0.1
+#: Longest wait for the transform of a frame, which comes later than the frame, and period of its polls [s].
+_TRANSFORM_TIMEOUT, _TRANSFORM_POLL_PERIOD = 0.1, 0.002
 #: Period of the warnings of a camera without a pose [ns].
 _WARNING_PERIOD = 60_000_000_000
 _TYPES = {DEPTH: Image, CAMERA_INFO: CameraInfo, LABELS: Image, LABEL_NAMES: String, POINTS: PointCloud2}
@@ -93,8 +98,8 @@ class CameraOutput:
 
     @property
     def is_subscribed(self) -> bool:
-        """True if an image, the camera info or the points have subscribers."""
-        return any(self._has_subscribers(leaf) for leaf in _TYPES if leaf != LABEL_NAMES)
+        """True if a topic has subscribers."""
+        return any(map(self._has_subscribers, _TYPES))
 
     def update_labels(self, labels: dict[str, int]) -> None:
         """Publish the names of labels if they changed. The topic is latched."""
@@ -131,9 +136,7 @@ class CameraOutput:
         if not followed:
             return frame.poses[self.name]
         try:
-            position, orientation = self._transformer.to_cloth(
-                followed, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), frame.stamp
-            )
+            position, orientation = self._followed_pose(followed, frame.stamp)
         except FrameError as error:
             last = self._last_warning
             # The clock may have been set back since.
@@ -147,6 +150,21 @@ class CameraOutput:
             self._answer({"found": f"camera '{self.name}' follows frame '{followed}'", "camera": self.name})
         assert orientation is not None
         return (*position, *orientation)
+
+    def _followed_pose(self, followed: str, stamp: int) -> Pose:
+        """Return position [m] and orientation of a TF frame at a ROS time [ns], by waiting for its transform.
+
+        Raises:
+            FrameError: if no transform of that time connects the frames, and none at most 0.1 s older.
+        """
+        lookup = partial(self._transformer.to_cloth, followed, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), stamp)
+        end = time.monotonic() + _TRANSFORM_TIMEOUT
+        # Nothing waits for a frame that is lost.
+        while self._last_warning is None and time.monotonic() < end:
+            with contextlib.suppress(FrameError):
+                return lookup(max_age=0)
+            time.sleep(_TRANSFORM_POLL_PERIOD)
+        return lookup()
 
     def _has_subscribers(self, leaf: str) -> bool:
         return bool(self._publishers[leaf].get_subscription_count())
@@ -185,15 +203,19 @@ class CameraWorker:
         for camera in self._cameras:
             camera.listen()
         self._executor = SingleThreadedExecutor()
+        self._tf_thread = threading.Thread(target=self._executor.spin, name="tf", daemon=True)
         if any(camera.frame for camera in setup.cameras.values()):
             self._executor.add_node(self._node)
-            threading.Thread(target=self._executor.spin, name="tf", daemon=True).start()
+            self._tf_thread.start()
         self._subscribed: list[str] = []
         self._bodies: tuple[Obstacle, ...] = ()
 
     def close(self) -> None:
         """Leave the graph."""
         self._executor.shutdown(timeout_sec=_POLL_PERIOD)
+        # rclpy may crash if a node is destroyed while a thread waits for its subscriptions.
+        if self._tf_thread.is_alive():
+            self._tf_thread.join(_POLL_PERIOD)
         self._node.destroy_node()
         rclpy.try_shutdown()
 
@@ -224,12 +246,19 @@ def main(arguments: Sequence[str]) -> int:
     """Render frames until the input ends; return the exit status."""
     os.nice(_NICENESS)
     parent, stream = int(arguments[0]), sys.stdin.buffer
+    # A supervisor may send signals to the node and its processes at once. The node then closes the input.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    # ROS logs go to the standard output if RCUTILS_LOGGING_USE_STDOUT is set.
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
 
     def answer(values: dict[str, Any]) -> None:
-        print(json.dumps(values), flush=True)
+        print(json.dumps(values), file=answers, flush=True)
 
     # The node may end, or be killed while it sends a frame.
-    with contextlib.suppress(EOFError, pickle.UnpicklingError, BrokenPipeError), contextlib.ExitStack() as stack:
+    reasons = EOFError, pickle.UnpicklingError, BrokenPipeError, SystemExit
+    with contextlib.suppress(*reasons), contextlib.ExitStack() as stack:
         worker = CameraWorker(pickle.load(stream), answer)
         stack.callback(worker.close)
         answer({"done": 0})

@@ -52,6 +52,8 @@ class Cameras:
         )
         self._process: WorkerProcess[CameraSetup | CameraFrame] | None = None
         self._labels: dict[str, int] = {}
+        #: Cameras of the newest frame that was passed on.
+        self._newest: frozenset[str] = frozenset()
         #: Bodies that the process has; written by the sending thread.
         self._sent_bodies: tuple[Obstacle, ...] | None = None
         # Each is written by one of the process's threads and read by others.
@@ -83,6 +85,10 @@ class Cameras:
         names = frozenset(name for name in subscribed if _has_image(frame, scene.views[name].rate / scene.rate))
         if not names:
             return
+        if self._process.has_waiting_job:
+            # This frame replaces it. Otherwise a camera with a high rate would suppress one with a low rate.
+            names |= self._newest & subscribed
+        self._newest = names
         bodies, poses = solids_and_poses(self._simulation.obstacles, self._simulation.pinching)
         self._labels = label_numbers([body.name for body in bodies], self._labels)
         job = CameraFrame(

@@ -17,8 +17,6 @@ from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
 
 #: Bytes of the number of data, and of is_dense behind it.
 _COUNT, _IS_DENSE = 4, 1
-#: Largest depth of 16UC1 [mm].
-_MAX_MILLIMETRES = 65535
 
 
 class ImageMessage:
@@ -81,9 +79,8 @@ class CameraInfoMessage:
 
 
 def millimetres(depths: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Return depths [m] in millimetres, 0 without a depth or above 65.535 m."""
-    scaled = np.rint(depths * np.float32(1000.0))
-    return np.where(scaled <= _MAX_MILLIMETRES, scaled, np.float32(0.0)).astype(np.uint16)
+    """Return depths of at most 65.535 m in millimetres, 0 without a depth."""
+    return np.nan_to_num(np.rint(depths * np.float32(1000.0)), copy=False, nan=0.0).astype(np.uint16)
 
 
 def _after_stamp(message: Any) -> bytes:

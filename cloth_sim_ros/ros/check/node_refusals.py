@@ -65,6 +65,10 @@ def check_values(
         if entry.name in values and entry.name not in empty:
             raw = values[entry.name]
             checked[entry.name] = refused.collect(partial(entry.check, raw if convert is None else convert(raw)))
+    if values.get(_SIM_TIME) is True and checked.get("publish_clock"):
+        refused.add(
+            [f"{_SIM_TIME} and publish_clock are true: a node can't follow the /clock that it publishes; set one"]
+        )
     refused.add(frame_ids.faults(values))
     refused.add(qos_rules.faults(values))
     return checked

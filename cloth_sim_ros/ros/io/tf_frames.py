@@ -21,7 +21,7 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Largest age of the newest transform relative to a command's stamp [ns]: a command comes before its transform.
-_MAX_TRANSFORM_AGE = 100_000_000
+MAX_TRANSFORM_AGE = 100_000_000
 #: Period of the warnings of a frame that can't be followed [ns].
 _WARNING_PERIOD = 60_000_000_000
 
@@ -50,7 +50,13 @@ class FrameTransformer:
         self._is_tf2_missing = False
 
     def to_cloth(
-        self, frame_id: str, position: tuple[float, ...], orientation: tuple[float, ...] | None, stamp: int
+        self,
+        frame_id: str,
+        position: tuple[float, ...],
+        orientation: tuple[float, ...] | None,
+        stamp: int,
+        *,
+        max_age: int = MAX_TRANSFORM_AGE,
     ) -> Pose:
         """Return position [m] and orientation (or None) in the cloth's frame.
 
@@ -59,7 +65,8 @@ class FrameTransformer:
             position: 3 numbers [m].
             orientation: quaternion x, y, z, w, or None.
             stamp: ROS time of the command [ns]; zero for the newest transform. If the transform at the stamp is not
-                known yet, the newest one is used if it is at most 0.1 s older.
+                known yet, the newest one is used if it is at most `max_age` older.
+            max_age: time [ns].
 
         Raises:
             FrameError: if the name is invalid in tf2, or no transform connects the frames.
@@ -74,7 +81,7 @@ class FrameTransformer:
             if not stamp:
                 raise
             translation, rotation = self._lookup(frame_id, 0)
-            if not 0 < stamp - self._transform_stamp <= _MAX_TRANSFORM_AGE:
+            if not 0 < stamp - self._transform_stamp <= max_age:
                 raise
         new_position = rotation_matrix(rotation) @ np.asarray(position) + translation
         new_orientation = (

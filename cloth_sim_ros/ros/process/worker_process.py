@@ -59,6 +59,11 @@ class WorkerProcess(Generic[Job]):
         self._ready = threading.Semaphore(1)
         threading.Thread(target=self._run, name=name, daemon=True).start()
 
+    @property
+    def has_waiting_job(self) -> bool:
+        """True if the newest job was not sent yet."""
+        return not self._jobs.empty()
+
     def put(self, job: Job) -> Job | None:
         """Pass a job on; return the waiting one that it replaces, or None."""
         replaced = None

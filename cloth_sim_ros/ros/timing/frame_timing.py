@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
+from cloth_sim_ros.ros.io.messages import SECOND
 from cloth_sim_ros.ros.reporting.diagnostics import FrameTally
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.clock_pause import ClockPause
@@ -15,6 +17,9 @@ from cloth_sim_ros.ros.timing.sim_time import SIM_TIME, SimTimeNode
 from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.ros.timing.tolerance_governor import ToleranceGovernor
 from cloth_sim_ros.simulation.simulation import Frame
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.timing.clock_publisher import ClockPublisher
 
 
 class FrameTiming:
@@ -35,6 +40,12 @@ class FrameTiming:
         self.clock_pause = ClockPause(simulation, stepper.queue)
         self.governor = ToleranceGovernor(simulation, log, live=not self.follows_clock)
         self.tally = FrameTally()
+        #: Publisher of /clock; None if the scene publishes none.
+        self.clock_publisher: ClockPublisher | None = None
+        if simulation.scene.publish_clock:
+            from cloth_sim_ros.ros.timing.clock_publisher import ClockPublisher
+
+            self.clock_publisher = ClockPublisher(node, log, simulation.time)
         self._deadlines = DeadlineMonitor(period=simulation.scene.period, log=log)
         self._first_contact = FirstContact(simulation)
         #: Source of the frame ticks; None before `start`.
@@ -88,9 +99,26 @@ class FrameTiming:
         )
 
     def check_clock(self) -> None:
-        """Detect that a followed /clock stands. Call it a few times a second."""
+        """Detect that a followed /clock stands, or that others publish it too. Call it a few times a second."""
         if isinstance(self.pacer, ClockPacer):
             self.pacer.check()
+        if self.clock_publisher is not None:
+            self.clock_publisher.check()
+
+    def stamps(self, tick: FrameTick) -> tuple[int, int]:
+        """Return the stamp of a tick's frame, and the time up to which it takes commands [ns]."""
+        if self.clock_publisher is None:
+            return tick.stamp, max(tick.stamp, tick.now)
+        return self.clock_publisher.now, self.clock_publisher.now + round(SECOND / self.stepper.simulation.scene.rate)
+
+    def publish_clock(self, frame: Frame, stamp: int) -> int:
+        """Publish /clock if the scene asks for it; return the stamp of a frame's messages [ns].
+
+        Args:
+            frame: the frame.
+            stamp: the stamp without /clock [ns].
+        """
+        return stamp if self.clock_publisher is None else self.clock_publisher.send(frame.time)
 
     def describe_clock(self) -> tuple[bytes, str] | None:
         """Return level and summary for diagnostics while a followed /clock does not advance; otherwise None."""

@@ -1,0 +1,66 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Publisher of /clock, for a graph whose slowest simulator is the cloth."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.time_source import TimeSource
+from rosgraph_msgs.msg import Clock
+
+from cloth_sim_ros.ros.io.messages import SECOND, set_stamp
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+
+_TOPIC = "/clock"
+#: As rclcpp's ClockQoS.
+_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class ClockPublisher:
+    """Publishes simulated time on /clock, and makes it the ROS time of the node itself.
+
+    Args:
+        node: the cloth's node, which must not follow /clock.
+        log: receives warnings of other publishers.
+        seconds: simulated time at the start [s].
+    """
+
+    def __init__(self, node: Node, log: ThrottledLog, seconds: float) -> None:
+        self._node, self._log = node, log
+        self._publisher = node.create_publisher(Clock, _TOPIC, _QOS)
+        self._message = Clock()
+        self._time_source = TimeSource()
+        self._time_source.attach_clock(node.get_clock())
+        #: ROS time [ns].
+        self.now = self._set_time(seconds)
+        self._time_source.ros_time_is_active = True
+
+    def send(self, seconds: float) -> int:
+        """Publish the simulated time at the end of a frame [s], and return it as ROS time [ns].
+
+        Messages of the frame are published after it, so that a follower's clock has reached their stamps.
+        """
+        self.now = self._set_time(seconds)
+        self._publisher.publish(self._message)
+        return self.now
+
+    def check(self) -> None:
+        """Warn if another node publishes /clock too."""
+        this = self._node.get_name(), self._node.get_namespace()
+        publishers = {
+            (entry.node_name, entry.node_namespace) for entry in self._node.get_publishers_info_by_topic(_TOPIC)
+        }
+        names = sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in publishers - {this})
+        if names:
+            self._log.warn(
+                "clock",
+                f"{', '.join(names)} publishes {_TOPIC} too: time jumps back and forth for all nodes that follow it; "
+                "set publish_clock:=false, or stop the other publisher",
+            )
+
+    def _set_time(self, seconds: float) -> int:
+        nanoseconds = round(seconds * SECOND)
+        set_stamp(self._message.clock, nanoseconds)
+        self._time_source.clock_callback(self._message)
+        return nanoseconds
