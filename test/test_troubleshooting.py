@@ -23,6 +23,7 @@ PAGES = [
         "node/cameras.md",
         "node/gripper_action.md",
         "node/simulation_interfaces.md",
+        "tutorials/robot.md",
     )
 ]
 PAGE = " ".join(" ".join(path.read_text(encoding="utf-8").replace("<br>", " ") for path in PAGES).split())

@@ -129,7 +129,7 @@ def test_description_comes_from_its_latched_topic(client: Client, capfd: pytest.
         assert "1 collision shapes of 1 links are obstacles" in capfd.readouterr().err
 
 
-def test_start_survives_invalid_bytes_and_tells_of_a_new_description(
+def test_invalid_bytes_and_new_description_are_reported(
     client: Client, capfd: pytest.CaptureFixture[str]
 ) -> None:
     description = client.node.create_publisher(String, "/robot_description", LATCHED)
@@ -141,14 +141,14 @@ def test_start_survives_invalid_bytes_and_tells_of_a_new_description(
         assert "bytes on /joint_states are no JointState; check the type" in capfd.readouterr().err
         log = ""
 
-        def is_told() -> bool:
+        def is_reported() -> bool:
             nonlocal log
             log += capfd.readouterr().err
             return "the robot's description on /robot_description has changed" in log
 
         for _ in range(3):
             description.publish(String(data=ARM.replace('name="arm"', 'name="other"')))
-            cloth.client.spin_until(is_told, description="the warning of a new description")
+            cloth.client.spin_until(is_reported, description="the warning of a new description")
         cloth.tick()
         assert (log + capfd.readouterr().err).count("has changed") == 1
 

@@ -88,7 +88,7 @@ def test_invalid_move_of_several_is_refused(event: MoveObstacles, reason: str) -
     assert simulation.state.digest() == before
 
 
-def test_link_out_of_reach_lets_the_cloth_sleep_and_a_near_one_wakes_it() -> None:
+def test_cloth_sleeps_until_a_link_comes_within_reach() -> None:
     scene, links = robot_scene(ARM, {"cloth.resolution": [5, 5], "air.drag": 5.0, "robot.position": [1.2, 0.0, 0.5]})
     simulation = Simulation(scene)
 

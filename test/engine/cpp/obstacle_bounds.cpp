@@ -95,19 +95,19 @@ TEST_CASE("a gap above the limit is a lower bound above it, others have the same
     Random random;
     const Solid solid(true);
     const Mesh mesh = solid.mesh();
-    int far = 0;
+    int n_far = 0;
     for (int round = 0; round < 2000; ++round) {
         const Vec3<double> p = 0.8 * random.vector();
         const double limit = random.uniform(0.0, 0.3);
         const SurfacePoint<double> exact = nearest_on_mesh<double>(mesh, p, no_gap<double>),
                                    limited = nearest_on_mesh<double>(mesh, p, limit);
         if (is_same(exact, limited)) continue;
-        ++far;
+        ++n_far;
         CHECK(limited.gap > limit);
         CHECK(limited.gap <= exact.gap);
         CHECK(norm2(limited.normal) == 0.0);
     }
-    CHECK(far > 100);
+    CHECK(n_far > 100);
 }
 
 TEST_CASE("the bounds of a block are below its gaps and above its speeds") {
