@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of a robot's links that move far from the default cloth: processor time of a frame, in turns with others."""
+"""Cost of a robot's links beside the default cloth: processor time of a frame.
+
+Links that move far from the cloth take turns with other scenes. Links with fine meshes then move near it and push it.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,11 @@ import argparse
 import math
 import time
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
-from support.robots import chain, robot_scene
+from support.robots import chain, robot_scene, shell
 
 from benchmarks.timing import time_interleaved
 from cloth_sim_ros.scene.robot.links import RobotLinks
@@ -23,6 +28,8 @@ from validation.report import Report, Table
 _JOINTS, _SHAPES = 8, 5
 #: Frames of a turn, and frames before the first one: the cloth then swings.
 _FRAMES, _WARM_UP = 20, 30
+#: Frames of the arm near the cloth.
+_NEAR_FRAMES = 240
 #: Largest share of a frame's period.
 _MAX_SHARE = 0.1
 
@@ -55,8 +62,30 @@ def run(options: argparse.Namespace) -> Report:
         table.rows.append([name, 1e3 * times.median(name) / _FRAMES, 100.0 * more / period, ratio])
         if more > _MAX_SHARE * period:
             report.fail(f"{name}: {100.0 * more / period:.3g} % of a frame; at most {100.0 * _MAX_SHARE:g}")
-    report.tables.append(table)
+    report.tables += [table, _near_links()]
     return report
+
+
+def _near_links() -> Table:
+    """Time the frames of an arm of shells of 3200 triangles, which comes to the cloth and pushes it."""
+    half = math.sqrt(0.5)
+    values = {"robot.position": [0.0, 0.9, 0.9], "robot.orientation": [half, 0.0, 0.0, half]}
+    with TemporaryDirectory() as folder:
+        Path(folder, "shell.obj").write_bytes(shell(0.05, 0.144, 50, 32))
+        scene, links = robot_scene(chain(7, 1, length=0.12, mesh="shell.obj"), values, folder=folder)
+    simulation, base = Simulation(scene), np.eye(4)
+    times: dict[bool, list[float]] = {False: [], True: []}
+    for _ in range(_NEAR_FRAMES):
+        positions = np.full(len(links.joint_names), 0.3 * math.sin(2.0 * simulation.time))
+        base[1, 3] = -0.15 * (1.0 - math.cos(1.5 * simulation.time))
+        start = time.process_time()
+        frame = simulation.advance([MoveObstacles(links.names, links.poses(positions, base))])
+        times[bool(frame.obstacle_wrenches.any())].append(time.process_time() - start)
+    table = Table("Links with fine meshes near the default cloth", ["frames", "count", "median ms", "largest ms"])
+    for touches, seconds in times.items():
+        name = "in which a link touches the cloth" if touches else "without contact"
+        table.rows.append([name, len(seconds), 1e3 * float(np.median(seconds)), 1e3 * max(seconds)])
+    return table
 
 
 class _Run:

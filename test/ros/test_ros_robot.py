@@ -129,9 +129,7 @@ def test_description_comes_from_its_latched_topic(client: Client, capfd: pytest.
         assert "1 collision shapes of 1 links are obstacles" in capfd.readouterr().err
 
 
-def test_invalid_bytes_and_new_description_are_reported(
-    client: Client, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_invalid_bytes_and_new_description_are_reported(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     description = client.node.create_publisher(String, "/robot_description", LATCHED)
     description.publish(String(data=ARM))
     invalid = serialize_message(state((0.1,), ("shoulder",)))[:20]
