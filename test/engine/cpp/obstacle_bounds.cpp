@@ -147,7 +147,8 @@ TEST_CASE("an obstacle that is away from a ball stays away on its path") {
         Contacts contacts;
         contacts.obstacles.push_back({Shape::sphere, {0.1, 0.0, 0.0}, 0.1, {}});
         contacts.paths = random_path(random);
-        for (int k = 1; k < 4; ++k) contacts.paths[k] *= 3.0;
+        // It starts far from the ball, and comes to it.
+        for (int k = 1; k < 4; ++k) contacts.paths[k] *= 3.0, contacts.paths[k + 3] = -2.0 * contacts.paths[k];
         const double t = random.uniform(0.0, 0.5);
         if (!ball.is_away(contacts, 0, t, distance)) continue;
         ++n_away;
