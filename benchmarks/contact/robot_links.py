@@ -29,7 +29,7 @@ _JOINTS, _SHAPES = 8, 5
 #: Frames of a turn, and frames before the first one: the cloth then swings.
 _FRAMES, _WARM_UP = 20, 30
 #: Frames of the arm near the cloth.
-_NEAR_FRAMES = 240
+_NEAR_FRAMES = 120
 #: Largest share of a frame's period.
 _MAX_SHARE = 0.1
 
@@ -77,7 +77,7 @@ def _near_links() -> Table:
     times: dict[bool, list[float]] = {False: [], True: []}
     for _ in range(_NEAR_FRAMES):
         positions = np.full(len(links.joint_names), 0.3 * math.sin(2.0 * simulation.time))
-        base[1, 3] = -0.15 * (1.0 - math.cos(1.5 * simulation.time))
+        base[1, 3] = -0.05 * (1.0 - math.cos(1.5 * simulation.time))
         start = time.process_time()
         frame = simulation.advance([MoveObstacles(links.names, links.poses(positions, base))])
         times[bool(frame.obstacle_wrenches.any())].append(time.process_time() - start)
