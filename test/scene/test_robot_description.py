@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from support.robots import ARM, chain
 
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.robot.description import parse
+from cloth_sim_ros.scene.robot.kinematics import Kinematics
 
 LINKS = '<link name="a"/><link name="b"/>'
 MESH = '<collision><geometry><mesh filename="m.stl" scale="1 0 1"/></geometry></collision>'
@@ -114,6 +116,7 @@ def test_description_with_a_fault_is_refused_by_name(text: str, reason: str) -> 
             "is no XML",
         ),
         ('<robot name="\xe9">'.encode("latin-1"), "is no XML"),
+        (b'<?xml version="1.0" encoding="no-such"?><robot name="r"/>', "is no XML: unknown encoding"),
         (robot(f'{LINKS}<joint name="j" type="fixed">{ENDS}<origin xyz="1e300 0 0"/></joint>'), "of at most 10000"),
         (
             robot('<link name="a"><collision><geometry><sphere radius="1e300"/></geometry></collision></link>'),
@@ -130,13 +133,28 @@ def test_hostile_description_is_refused(text: str | bytes, reason: str) -> None:
         parse(text)
 
 
+def test_chain_of_mimic_joints_is_read_in_linear_time() -> None:
+    # The square of this number would take a minute.
+    links = "".join(f'<link name="l{k}"/>' for k in range(20001))
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        + (f'<mimic joint="j{k - 1}"/></joint>' if k else "</joint>")
+        for k in range(20000)
+    )
+    start = time.process_time()
+    assert Kinematics(parse(robot(links + joints))).joint_names == ("j0",)
+    assert time.process_time() - start < 20.0
+
+
 def test_time_to_read_grows_with_the_number_of_links() -> None:
     # The square of this number would take minutes.
     links = "".join(f'<link name="l{k}"/>' for k in range(20001))
     joints = "".join(
         f'<joint name="j{k}" type="fixed"><parent link="l{k}"/><child link="l{k + 1}"/></joint>' for k in range(20000)
     )
+    start = time.process_time()
     assert parse(robot(links + joints)).joints[-1].child == "l20000"
+    assert time.process_time() - start < 20.0
 
 
 def test_circle_of_links_is_refused() -> None:

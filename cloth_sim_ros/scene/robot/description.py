@@ -94,7 +94,7 @@ def parse(text: str | bytes) -> RobotDescription:
         raise ParameterError(f"the robot's description has {len(text)} bytes; at most {MAX_BYTES} are read")
     try:
         root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ParameterError(f"the robot's description is no XML: {error}; run xacro, and give its output") from error
     if root.tag != "robot":
         raise ParameterError(f"the robot's description begins with <{root.tag}>; a URDF begins with <robot>")
@@ -172,15 +172,17 @@ def _ordered(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint])
         missing = next(joint.name for joint in joints if joint.name not in known)
         raise ParameterError(f"joint '{missing}' of the robot is part of a circle of links; a robot is a tree")
     movable = {joint.name: joint for joint in joints if joint.is_movable}
+    checked: set[str] = set()
     for joint in joints:
         seen, current = {joint.name}, joint
-        while current.mimic is not None:
+        while current.mimic is not None and current.name not in checked:
             if current.mimic.joint not in movable:
                 raise ParameterError(f"joint '{current.name}' mimics '{current.mimic.joint}', which is no joint")
             current = movable[current.mimic.joint]
             if current.name in seen:
                 raise ParameterError(f"joint '{current.name}' mimics itself; remove a <mimic>")
             seen.add(current.name)
+        checked |= seen
     return RobotDescription(root=roots[0], shapes=shapes, joints=tuple(ordered))
 
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.scene.robot.description import ROTATING, Joint, RobotDescription, cross_matrix, transform
+from cloth_sim_ros.scene.robot.description import ROTATING, Joint, Mimic, RobotDescription, cross_matrix, transform
 
 
 class Kinematics:
@@ -48,7 +48,7 @@ class Kinematics:
         self._constants.shape = (len(self._joints), 3, 16)
         self._is_rotating = np.array([joint.kind in ROTATING for joint in self._joints], dtype=bool)
         # Position of each joint: a multiple of that of an independent joint, plus an offset.
-        sources = [self._source(joint) for joint in self._joints]
+        sources = self._sources()
         self._source_indices = np.array([index for index, _, _ in sources], dtype=np.int64)
         self._multipliers = np.array([multiplier for _, multiplier, _ in sources])
         self._offsets = np.array([offset for _, _, offset in sources])
@@ -115,17 +115,26 @@ class Kinematics:
         """Return the largest displacement of a sliding joint [m]; infinite without limits."""
         joint = self._joints[index]
         source = self._named[self.joint_names[self._source_indices[index]]]
-        ends = [self._multipliers[index] * end + self._offsets[index] for end in (source.lower, source.upper)]
+        multiplier, offset = self._multipliers[index], self._offsets[index]
+        # 0 times an infinite limit is no number.
+        ends = [(multiplier * end if multiplier else 0.0) + offset for end in (source.lower, source.upper)]
         return min(max(map(abs, ends)), max(abs(joint.lower), abs(joint.upper)))
 
-    def _source(self, joint: Joint) -> tuple[int, float, float]:
-        """Return the index in `joint_names` of the joint that a joint follows, the multiplier and the offset."""
-        multiplier, offset = 1.0, 0.0
-        while joint.mimic is not None:
-            mimic = joint.mimic
-            multiplier, offset = multiplier * mimic.multiplier, offset + multiplier * mimic.offset
-            joint = self._named[mimic.joint]
-        return self._indices[joint.name], multiplier, offset
+    def _sources(self) -> list[tuple[int, float, float]]:
+        """Return for each joint the index in `joint_names` that it follows, the multiplier and the offset."""
+        sources = {name: (index, 1.0, 0.0) for name, index in self._indices.items()}
+        for joint in self._joints:
+            name, waiting = joint.name, list[tuple[str, Mimic]]()
+            while name not in sources:
+                mimic = self._named[name].mimic
+                assert mimic is not None
+                waiting.append((name, mimic))
+                name = mimic.joint
+            index, multiplier, offset = sources[name]
+            for name, mimic in reversed(waiting):
+                multiplier, offset = mimic.multiplier * multiplier, mimic.multiplier * offset + mimic.offset
+                sources[name] = index, multiplier, offset
+        return [sources[joint.name] for joint in self._joints]
 
 
 def poses_of(transforms: Array) -> Array:
