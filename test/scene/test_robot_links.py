@@ -103,6 +103,55 @@ def test_links_out_of_reach_are_left_out_and_named() -> None:
     assert "hand" in alone.names
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        # It falls on the arm.
+        {"cloth.anchors": [""], "cloth.position": [0.0, 0.0, 4.0]},
+        # Pads carry it.
+        {"robot.pads": ["left_finger"], "robot.position": [2.6, 0.0, 0.5]},
+        # Only TF knows where the arm is.
+        {"robot.source": "tf", "robot.position": [9.0, 0.0, 0.0]},
+    ],
+)
+def test_links_to_which_the_cloth_may_come_are_kept(values: dict[str, Any]) -> None:
+    _, links = robot_scene(ARM, {"grippers": [""], **values})
+    assert (len(links.names), links.notes) == (6, ())
+
+
+def test_link_of_a_mimic_joint_that_stands_is_kept() -> None:
+    text = ARM.replace('<limit lower="0.0" upper="0.04" effort="20" velocity="0.2"/>\n  </joint>', "</joint>", 1)
+    _, links = robot_scene(text.replace('multiplier="1.0"', 'multiplier="0.0"'), {"grippers": [""], **AT})
+    assert "right_finger" in links.names
+
+
+def test_too_many_shapes_are_refused() -> None:
+    with pytest.raises(
+        ParameterError, match="has 2400 collision shapes, and at most 2000 become obstacles; name fewer"
+    ):
+        robot_scene(chain(300, 8), AT)
+    assert robot_scene(chain(300, 8), {"robot.links": ["l1"], **AT})[1].links == ("l1",) * 8
+
+
+def test_poses_of_no_links_are_an_empty_array() -> None:
+    _, links = robot_scene(ARM, {"robot.position": [9.0, 0.0, 0.0]})
+    assert links.poses({}).shape == links.poses_from_links({}).shape == (0, 7)
+
+
+def test_mesh_of_a_link_replaces_no_other_file(tmp_path: Path) -> None:
+    (tmp_path / "mesh.obj").write_text(SOLID)
+    desk = SOLID.replace("0.1", "0.7")
+    values = {"obstacles": ["desk"], "desk.shape": "mesh", "desk.mesh": "body.obj", "robot.links": ["body"]}
+    extended, files, _ = add_links(values, with_mesh("mesh.obj"), folder=tmp_path, files={"body.obj": desk.encode()})
+    assert files["body.obj"] == desk.encode()
+    assert extended["body.mesh"] != "body.obj"
+    assert files[extended["body.mesh"]].count(b"v ") == 4
+
+
+def test_link_with_the_name_of_a_camera_gets_another_one() -> None:
+    assert robot_scene(ARM, {"cameras": ["hand"], "robot.links": ["hand"], **AT})[1].names == ("hand_0",)
+
+
 def test_named_links_are_kept_with_names_of_their_own() -> None:
     values = {
         "robot.links": ["hand"],
@@ -222,10 +271,15 @@ def test_fine_mesh_becomes_a_hull_of_few_vertices(tmp_path: Path) -> None:
         ("flat.obj", "is open and flat"),
         ("package://no_such_robot/a.stl", "package 'no_such_robot', which is not in AMENT_PREFIX_PATH; source"),
         ("http://host/a.stl", "give package:// or file://"),
+        (f"package://{'p' * 300}/a.stl", "can't be read.*File name too long"),
         ("body.dae", "its name must end in obj, ply, stl"),
     ],
 )
-def test_mesh_that_cannot_be_used_is_refused(tmp_path: Path, uri: str, reason: str) -> None:
+def test_mesh_that_cannot_be_used_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uri: str, reason: str
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    (tmp_path / "share").mkdir()
     (tmp_path / "flat.obj").write_text(FLAT)
     (tmp_path / "body.dae").write_text("<COLLADA/>")
     with pytest.raises(ParameterError, match=reason):

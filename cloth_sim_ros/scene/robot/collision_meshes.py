@@ -75,10 +75,13 @@ def load(uri: str, scale: tuple[float, ...], folder: Path) -> ConvexOrClosed:
     Raises:
         ParameterError: for a file that can't be read or that bounds no volume; names the file and the remedy.
     """
-    path = find_file(uri, folder)
+    path = Path(uri)
     try:
+        path = find_file(uri, folder)
         data = input_file.read_bytes(path, max_bytes=MAX_BYTES)
         solid = mesh_file.solid(data, name=path.name)
+    except ParameterError:
+        raise
     except OSError as error:
         raise ParameterError(
             f"the robot's mesh '{uri}' can't be read: '{path}': {error.strerror}; install the package that holds it, "

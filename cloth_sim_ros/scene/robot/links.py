@@ -24,13 +24,15 @@ from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
 from cloth_sim_ros.scene.robot import collision_meshes
 from cloth_sim_ros.scene.robot.description import CollisionShape, RobotDescription, parse, transform
 from cloth_sim_ros.scene.robot.kinematics import Kinematics, poses_of, transform_of
-from cloth_sim_ros.scene.robot_section import RobotParameters
+from cloth_sim_ros.scene.robot_section import TF, RobotParameters
 from cloth_sim_ros.scene.scene import Scene
 
 #: End of the names of the parameters that name an obstacle's link.
 LINK_SUFFIX = ".link"
 #: A cloth that hangs by an edge swings within this many of its largest extents about its centre.
 _SWING_EXTENTS = 1.5
+#: Largest number of collision shapes.
+_MAX_SHAPES = 2000
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -94,7 +96,8 @@ class RobotLinks:
 
     def poses_from_links(self, transforms: Mapping[str, Array]) -> Array:
         """Return the poses of the obstacles, shape (count, 7), from transforms (4, 4) of their links by name."""
-        return poses_of(np.array([transforms[link] for link in self.links]) @ self._origins)
+        of_links = np.array([transforms[link] for link in self.links]).reshape(-1, 4, 4)
+        return poses_of(of_links @ self._origins)
 
     def link_pose(self, link: str, positions: Array, base: Array | None = None) -> Array:
         """Return the pose of any link of the robot, shape (7,): position [m] and quaternion x, y, z, w."""
@@ -136,19 +139,24 @@ def add_links(
     kinematics = Kinematics(robot)
     links, notes = _selected_links(scene, robot, kinematics)
     candidates: list[_LinkObstacle] = []
+    if (count := sum(len(robot.shapes[link]) for link in links)) > _MAX_SHAPES:
+        raise ParameterError(
+            f"the robot has {count} collision shapes, and at most {_MAX_SHAPES} become obstacles; name fewer links in "
+            "robot.links"
+        )
     for link in links:
         for shape in robot.shapes[link]:
             candidates += _obstacles_of(scene.robot, link, shape, Path(folder), notes)
     if scene.robot.links == ("",):
         candidates = _within_reach(scene, candidates, kinematics, notes)
-    used = {*scene.gripper_names, *scene.described, *Scene.groups()}
+    used = {*scene.gripper_names, *scene.cameras, *scene.described, *Scene.groups()}
     added: dict[str, Any] = {}
     contents = dict(scene.files)
     obstacles = []
     for candidate, name in zip(candidates, _names([entry.link for entry in candidates], used), strict=True):
         entries = {**candidate.values, "link": candidate.link, "friction": _friction(scene, candidate.link)}
         if candidate.mesh is not None:
-            entries["mesh"] = f"{name}.obj"
+            entries["mesh"] = _file_name(name, contents)
             contents[entries["mesh"]] = collision_meshes.obj_bytes(*candidate.mesh)
         added |= {f"{name}.{leaf}": value for leaf, value in entries.items()}
         obstacles.append((name, candidate.link, candidate.origin))
@@ -263,9 +271,12 @@ def _within_reach(
 ) -> list[_LinkObstacle]:
     """Return the obstacles that can come within reach of the cloth.
 
-    The cloth is within a ball about its initial centre, unless a gripper carries it. A robot that reaches that ball can
-    carry cloth as far as its furthest link. With grippers, all links that come there are therefore kept.
+    An anchored cloth is within a ball about its initial centre, unless a gripper or a pad carries it. A robot that
+    reaches that ball can carry cloth as far as its furthest link. All links that come there are then kept.
     """
+    if scene.robot.frame or scene.robot.source == TF or not len(scene.anchored_particles()):
+        # Only TF knows the place of the robot, or nothing keeps the cloth in place.
+        return candidates
     positions = scene.initial_positions()
     lower, upper = positions.min(axis=0), positions.max(axis=0)
     centre, extent = 0.5 * (lower + upper), float(np.linalg.norm(upper - lower))
@@ -277,11 +288,8 @@ def _within_reach(
         ball = kinematics.reach(body, math.sqrt(float(centre_of_shape @ centre_of_shape)) + candidate.radius)
         middle, radius = ball if body else (centre_of_shape, candidate.radius)
         balls.append((mount[:3, :3] @ middle + mount[:3, 3], radius))
-    if scene.robot.frame:
-        # The mount is known to TF alone.
-        return candidates
     zones = [(centre, _SWING_EXTENTS * extent)]
-    if scene.gripper_names:
+    if scene.gripper_names or any(scene.robot.pads):
         zones += [(middle, radius + extent) for middle, radius in balls if _touches((middle, radius), zones[0])]
     is_near = [any(_touches(ball, zone) for zone in zones) for ball in balls]
     left_out = sorted({entry.link for k, entry in enumerate(candidates) if not is_near[k]})
@@ -296,6 +304,14 @@ def _within_reach(
 def _touches(ball: tuple[Array, float], zone: tuple[Array, float]) -> bool:
     offset = ball[0] - zone[0]
     return math.sqrt(float(offset @ offset)) <= ball[1] + zone[1]
+
+
+def _file_name(name: str, used: Collection[str]) -> str:
+    """Return a name that is not used for the file of an obstacle's mesh."""
+    file_name, count = f"{name}.obj", 0
+    while file_name in used:
+        file_name, count = f"{name}_{count}.obj", count + 1
+    return file_name
 
 
 def _friction(scene: Scene, link: str) -> tuple[float, ...]:
