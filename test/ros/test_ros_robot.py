@@ -196,6 +196,14 @@ def test_silence_of_joint_states_is_reported_once(
         assert "joint states come on /joint_states again" in capfd.readouterr().err
 
 
+def test_silence_from_the_start_on_is_reported(
+    client: Client, description: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with arm(client, (0.1, 0.2, 0.3, 0.01), {"robot.description_file": description, "rate": 10.0}) as cloth:
+        cloth.tick(20)
+        assert capfd.readouterr().err.count("no joint state has come on /joint_states for 1 s") == 1
+
+
 def test_gripper_follows_a_link_without_tf(client: Client, description: str) -> None:
     values = {"robot.description_file": description, "gripper.frame": "hand"}
     with arm(client, (0.1, 0.2, 0.3, 0.01), values) as cloth:
@@ -222,6 +230,64 @@ def test_tf_without_tf2_is_refused_with_the_remedy(
     for values in ({"robot.source": "tf"}, {"robot.frame": "platform"}):
         with pytest.raises(ParameterError, match=f"{next(iter(values))} needs tf2_ros.*sudo apt install"):
             ClockedCloth(client, {**AT, "robot.description_file": description, **values})
+
+
+def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> None:
+    """Replace tf2_ros: each frame is displaced along x, and frames that are not in `x_of` are missing."""
+
+    class TransformException(Exception):
+        pass
+
+    class Buffer:
+        def lookup_transform(self, _target: str, source: str, _time: Any) -> Any:
+            if source not in x_of:
+                raise TransformException(f"'{source}' does not exist")
+            return SimpleNamespace(
+                header=SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=0)),
+                transform=SimpleNamespace(
+                    translation=SimpleNamespace(x=x_of[source], y=0.0, z=0.0),
+                    rotation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+                ),
+            )
+
+        def clear(self) -> None:
+            pass
+
+    names = {"Buffer": Buffer, "TransformException": TransformException, "TransformListener": lambda *_: None}
+    monkeypatch.setitem(sys.modules, "tf2_ros", SimpleNamespace(**names))
+
+
+def test_mount_may_be_the_frame_of_the_root_link(
+    client: Client, description: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stub_tf2(monkeypatch, {"base": 1.0})
+    values = {"robot.description_file": description, "robot.frame": "base", "robot.position": [0.1, 0.0, 0.5]}
+    with arm(client, (0.1, 0.2, 0.3, 0.01), {**values, "gripper.frame": "hand"}) as cloth:
+        cloth.tick(2)
+        links, positions = robot_scene(ARM, AT)[1], np.array([0.1, 0.2, 0.3, 0.01])
+        assert np.abs(poses(cloth) - links.poses(positions)).max() < 1e-15
+        assert np.abs(cloth.position("gripper") - links.link_pose("hand", positions)[:3]).max() < 1e-15
+
+
+def test_links_return_after_a_reset_without_tf(
+    client: Client, description: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x_of = {"platform": 1.0}
+    stub_tf2(monkeypatch, x_of)
+    values = {"robot.description_file": description, "robot.frame": "platform", "robot.position": [0.1, 0.0, 0.5]}
+    with arm(client, (0.1, 0.2, 0.3, 0.01), values) as cloth:
+        cloth.tick()
+        send(cloth, state((0.2, 0.2, 0.3, 0.01)))
+        cloth.tick()
+        expected = poses(cloth)
+        cloth.node.stepper.queue.put(Reset())
+        cloth.tick()
+        del x_of["platform"]
+        cloth.tick(2)
+        assert not np.array_equal(poses(cloth), expected)
+        x_of["platform"] = 1.0
+        cloth.tick(2)
+        assert np.array_equal(poses(cloth), expected)
 
 
 def test_poses_of_links_and_mount_come_from_tf() -> None:

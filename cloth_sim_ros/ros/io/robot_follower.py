@@ -71,7 +71,7 @@ class RobotFollower:
             from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
             self._stops = PadStops(simulation.scene, links)
-        #: ROS time of the newest state [ns]; 0 before the first.
+        #: ROS time of the newest state, or of the first frame before it [ns]; 0 before both.
         self._last_state = 0
         #: True if the next frame has to repeat the command of the links; the same from the next state on.
         self._must_send = self._resends = False
@@ -113,7 +113,7 @@ class RobotFollower:
             if event.obstacles:
                 self._simulation.check(event)
         except (FrameError, EventError) as error:
-            self._has_failed = True
+            self._has_failed, self._must_send = True, must_send
             self._log.warn("robot", f"the robot's links stay where they are: {error}")
             return []
         if self._has_failed:
@@ -129,8 +129,11 @@ class RobotFollower:
         self._resends = self._resends or bool(frame.stopped)
 
     def link_pose(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...], int] | None:
-        """Return position [m], orientation and stamp [ns] of a link by name; None for other names, and with TF."""
+        """Return position [m], orientation and stamp [ns] of a link by name; None for a frame that TF places."""
         if self._settings.source != JOINT_STATES or name not in self._links.kinematics.placements:
+            return None
+        if name == self._settings.frame:
+            # TF places it, and all links with it.
             return None
         pose = self._links.link_pose(name, self._states.positions, mount_of(self._frames, self._settings)).tolist()
         return tuple(pose[:3]), tuple(pose[3:]), self._states.stamp
@@ -174,8 +177,9 @@ class RobotFollower:
 
     def _report_silence(self, now: int) -> None:
         """Say once when joint states stop, and when they come again."""
-        if self._settings.source != JOINT_STATES or not self._last_state:
+        if self._settings.source != JOINT_STATES:
             return
+        self._last_state = self._last_state or now
         is_silent = now - self._last_state > _SILENCE
         if is_silent == self._is_silent:
             return
