@@ -52,7 +52,9 @@ class Inputs:
         simulation, queue = timing.stepper.simulation, timing.stepper.queue
         scene = simulation.scene
         self._node, self._simulation, self._queue = node, simulation, queue
-        self._frames = FrameTransformer(node, scene.frame_id)
+        # A robot's start has filled its buffer.
+        known_frames = None if robot is None else robot.frames
+        self._frames = FrameTransformer(node, scene.frame_id) if known_frames is None else known_frames
         sink, callback_lock = recording.session, failure.callback_lock
         self.commands = CommandSubscriptions(node, simulation, queue, self._frames, sink, log, callback_lock)
         self.tf_follower = TfFollower(simulation, self._frames, self.commands.last_target_time, log)
