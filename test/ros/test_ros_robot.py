@@ -27,7 +27,7 @@ from cloth_sim_ros.ros.io.robot_start import link_poses
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.reader import SessionReader
-from cloth_sim_ros.simulation.events import Reset
+from cloth_sim_ros.simulation.events import Reset, SetParameters
 from cloth_sim_ros.verify.markers import MARKERS
 from cloth_sim_ros.verify.run import verify
 
@@ -232,8 +232,13 @@ def test_tf_without_tf2_is_refused_with_the_remedy(
             ClockedCloth(client, {**AT, "robot.description_file": description, **values})
 
 
-def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> None:
-    """Replace tf2_ros: each frame is displaced along x, and frames that are not in `x_of` are missing."""
+def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> list[Any]:
+    """Replace tf2_ros: each frame is displaced along x, and frames that are not in `x_of` are missing.
+
+    Returns:
+        The buffers that listen to /tf.
+    """
+    listening: list[Any] = []
 
     class TransformException(Exception):
         pass
@@ -253,20 +258,41 @@ def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> None:
         def clear(self) -> None:
             pass
 
-    names = {"Buffer": Buffer, "TransformException": TransformException, "TransformListener": lambda *_: None}
-    monkeypatch.setitem(sys.modules, "tf2_ros", SimpleNamespace(**names))
+    module = SimpleNamespace(
+        Buffer=Buffer,
+        TransformException=TransformException,
+        TransformListener=lambda buffer, _node: listening.append(buffer),
+    )
+    monkeypatch.setitem(sys.modules, "tf2_ros", module)
+    return listening
 
 
 def test_mount_may_be_the_frame_of_the_root_link(
     client: Client, description: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stub_tf2(monkeypatch, {"base": 1.0})
+    listening = stub_tf2(monkeypatch, {"base": 1.0})
     values = {"robot.description_file": description, "robot.frame": "base", "robot.position": [0.1, 0.0, 0.5]}
     with arm(client, (0.1, 0.2, 0.3, 0.01), {**values, "gripper.frame": "hand"}) as cloth:
         cloth.tick(2)
         links, positions = robot_scene(ARM, AT)[1], np.array([0.1, 0.2, 0.3, 0.01])
         assert np.abs(poses(cloth) - links.poses(positions)).max() < 1e-15
         assert np.abs(cloth.position("gripper") - links.link_pose("hand", positions)[:3]).max() < 1e-15
+        # The buffer of the start has the transforms already.
+        assert len(listening) == 1
+
+
+def test_pads_stop_at_a_new_thickness(client: Client, description: str) -> None:
+    values = {"robot.description_file": description, "robot.pads": ["left_finger", "right_finger"]}
+    with arm(client, (0.0, 0.0, 0.0, 0.02), values) as cloth:
+        cloth.tick()
+        cloth.node.stepper.queue.put(SetParameters({"contact.thickness": 0.008}))
+        cloth.tick()
+        for _ in range(2):
+            send(cloth, state((0.0, 0.0, 0.0, 0.0)))
+            cloth.tick(3)
+        by_name = dict(zip(cloth.simulation.scene.obstacle_names, poses(cloth), strict=True))
+        gap = np.linalg.norm((by_name["left_finger"] - by_name["right_finger"])[:3]) - 0.02
+        assert gap == pytest.approx(0.008, rel=0.1)
 
 
 def test_links_return_after_a_reset_without_tf(

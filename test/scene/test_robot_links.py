@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 import pytest
 from support.robots import ARM, chain, robot_scene
@@ -308,6 +309,17 @@ def test_pads_have_the_friction_of_grippers_and_stop() -> None:
     assert stopped[3] >= 0.5 * scene.contact.thickness
     positions[3] = 0.01
     assert stops.stopped(positions).tolist() == positions.tolist()
+
+
+def test_pads_stop_at_the_thickness_of_the_present_scene() -> None:
+    scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
+    stops = PadStops(scene, links)
+    stops.stopped(np.array([0.0, 0.0, 0.0, 0.03]))
+    stops.update(attrs.evolve(scene, contact=attrs.evolve(scene.contact, thickness=0.008)))
+    # Within a hundredth of the step.
+    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.004, abs=0.0003)
+    stops.update(scene)
+    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.5 * scene.contact.thickness, rel=0.05)
 
 
 def test_joint_of_several_degrees_of_freedom_is_reported() -> None:

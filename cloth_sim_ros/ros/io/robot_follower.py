@@ -71,6 +71,8 @@ class RobotFollower:
             from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
             self._stops = PadStops(simulation.scene, links)
+            # The start counts as accepted: the first state may close the fingers at once.
+            self._stops.stopped(states.positions)
         #: ROS time of the newest state, or of the first frame before it [ns]; 0 before both.
         self._last_state = 0
         #: True if the next frame has to repeat the command of the links; the same from the next state on.
@@ -126,6 +128,8 @@ class RobotFollower:
         """Repeat the command of the links after a reset or a change of obstacles, or with a new state after a stop."""
         if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
             self._must_send = True
+            if self._stops is not None:
+                self._stops.update(self._simulation.scene)
         self._resends = self._resends or bool(frame.stopped)
 
     def link_pose(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...], int] | None:

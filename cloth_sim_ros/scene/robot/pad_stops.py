@@ -34,9 +34,8 @@ class PadStops:
         self._links, self._min_gap = links, scene.contact.thickness
         solids = {solid.name: solid for solid in scene.solids}
         pads = [k for k, link in enumerate(links.links) if link in scene.robot.pads and links.names[k] in solids]
-        self._pads = {
-            k: (solids[links.names[k]], obstacle_features(solids[links.names[k]], self._min_gap)) for k in pads
-        }
+        self._solids = {k: solids[links.names[k]] for k in pads}
+        self._features = self._features_of_pads()
         #: Pairs of pads, and the joints that move one relative to the other.
         self._pairs: list[tuple[int, int, list[int]]] = []
         bodies = {k: links.kinematics.placements[links.links[k]][0] for k in pads}
@@ -47,6 +46,12 @@ class PadStops:
             # Fingers that mimic one joint share all joints; that one is the last of them.
             self._pairs.append((a, b, sorted(set(chains[0]) ^ set(chains[1])) or chains[1][:1]))
         self._accepted: Array | None = None
+
+    def update(self, scene: Scene) -> None:
+        """Take the contact thickness of a changed scene."""
+        if scene.contact.thickness != self._min_gap:
+            self._min_gap = scene.contact.thickness
+            self._features = self._features_of_pads()
 
     def stopped(self, positions: Array) -> Array:
         """Return joint positions at which no pair of pads is closer than permitted, or closer than before.
@@ -73,10 +78,14 @@ class PadStops:
         self._accepted = result
         return result
 
+    def _features_of_pads(self) -> dict[int, ObstacleFeatures]:
+        return {k: obstacle_features(solid, self._min_gap) for k, solid in self._solids.items()}
+
     def _gap(self, a: int, b: int, positions: Array) -> float:
         """Return the least distance of the points of one pad from the other [m]."""
         poses = self._links.poses(positions)
-        (solid_a, features_a), (solid_b, features_b) = self._pads[a], self._pads[b]
+        solid_a, solid_b = self._solids[a], self._solids[b]
+        features_a, features_b = self._features[a], self._features[b]
         offset = poses[a, :3] - poses[b, :3]
         distance = float(np.sqrt(offset @ offset)) - solid_a.bounding_radius - solid_b.bounding_radius
         if distance > self._min_gap:
