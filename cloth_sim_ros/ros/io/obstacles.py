@@ -76,7 +76,8 @@ class ObstacleTopics:
             self._publish(stamp)
         if obstacles is None:
             return
-        for name in obstacles.lagging:
+        # A paused frame moves nothing.
+        for name in obstacles.lagging if frame.moved else ():
             self._log.warn(
                 f"behind {name}",
                 f"'{name}' lags behind its target: the speed of obstacles is limited to {obstacles.speed:g} m/s, "
