@@ -27,7 +27,7 @@ from cloth_sim_ros.ros.io.robot_start import link_poses
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.reader import SessionReader
-from cloth_sim_ros.simulation.events import Reset, SetParameters
+from cloth_sim_ros.simulation.events import Pause, Reset, SetParameters
 from cloth_sim_ros.verify.markers import MARKERS
 from cloth_sim_ros.verify.run import verify
 
@@ -341,6 +341,35 @@ def test_reset_leaves_links_where_the_robot_is(client: Client, description: str)
         assert not np.array_equal(poses(cloth), expected), "a reset restores obstacles"
         cloth.tick(2)
         assert np.array_equal(poses(cloth), expected)
+
+
+def test_links_do_not_lag_while_time_stands(
+    client: Client, description: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with arm(client, (0.1, 0.2, 0.3, 0.01), {"robot.description_file": description}) as cloth:
+        cloth.tick()
+        cloth.node.stepper.queue.put(Pause(True))
+        obstacles = cloth.simulation.obstacles
+        assert obstacles is not None
+        send(cloth, state((0.11, 0.2, 0.3, 0.01)))
+        for k in range(10):
+            cloth.publish_clock(cloth.now + k * SECOND // 10)
+            client.executor.spin_once(timeout_sec=0.05)
+        client.spin_until(lambda: bool(obstacles.lagging), description="the links to have a target")
+        assert "lags behind its target" not in capfd.readouterr().err
+
+
+def test_states_without_positions_say_nothing_at_the_start(
+    client: Client, description: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    invalid = state((0.1, 0.2, 0.3, 0.01))
+    invalid.header.stamp.sec = -5
+    with repeated(client, state(()), invalid, state((0.0, 0.0, 0.0, 0.0))):
+        cloth = ClockedCloth(client, {**AT, "robot.description_file": description})
+    with cloth:
+        log = capfd.readouterr().err
+        assert "gives 0 positions" not in log
+        assert "a joint state is refused: its stamp is -5 s" in log
 
 
 def test_recorded_session_runs_again_without_description(client: Client, description: str, tmp_path: Path) -> None:
