@@ -12,6 +12,7 @@ from typing import Any
 import attrs
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support.robots import ARM, chain, robot_scene
 
 from cloth_sim_ros import Scene, Simulation
@@ -52,6 +53,44 @@ def test_planar_arm_is_where_trigonometry_puts_it() -> None:
     # The right finger mimics the left one.
     assert poses["left_finger"][1] == pytest.approx(0.03)
     assert poses["right_finger"][1] == pytest.approx(-0.03)
+
+
+def test_random_trees_are_where_scipy_puts_them() -> None:
+    rng = np.random.default_rng(3)
+
+    def text(vector: Any) -> str:
+        return " ".join(map(repr, np.asarray(vector, dtype=float).tolist()))
+
+    for _ in range(20):
+        kinds = rng.choice(["fixed", "revolute", "continuous", "prismatic"], 12).tolist()
+        links, expected, q = ['<link name="l0"/>'], [np.eye(4)], dict[int, float]()
+        for k, kind in enumerate(kinds):
+            parent, xyz, rpy = int(rng.integers(k + 1)), rng.normal(size=3), rng.uniform(-4.0, 4.0, 3)
+            # Axes are not of unit length.
+            axis, mimic = rng.normal(size=3) * 10.0 ** rng.uniform(-3.0, 3.0), ""
+            if kind != "fixed":
+                q[k] = float(rng.uniform(-3.0, 3.0))
+                if k % 3 == 0 and len(q) > 1:
+                    source, multiplier, offset = next(iter(q)), float(rng.normal()), float(rng.normal())
+                    mimic = f'<mimic joint="j{source}" multiplier="{multiplier!r}" offset="{offset!r}"/>'
+                    q[k] = multiplier * q[source] + offset
+            links.append(
+                f'<link name="l{k + 1}"/><joint name="j{k}" type="{kind}"><parent link="l{parent}"/>'
+                f'<child link="l{k + 1}"/><origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{text(axis)}"/>'
+                f"{mimic}</joint>"
+            )
+            origin, motion, unit = np.eye(4), np.eye(4), axis / np.linalg.norm(axis)
+            origin[:3, :3], origin[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+            if kind == "prismatic":
+                motion[:3, 3] = unit * q[k]
+            elif kind != "fixed":
+                motion[:3, :3] = Rotation.from_rotvec(unit * q[k]).as_matrix()
+            expected.append(expected[parent] @ origin @ motion)
+        kinematics = Kinematics(parse(f'<robot name="r">{"".join(links)}</robot>'))
+        bodies = kinematics.bodies(kinematics.positions({f"j{k}": value for k, value in q.items()}), np.eye(4))
+        for k, transform in enumerate(expected):
+            body, placement = kinematics.placements[f"l{k}"]
+            assert np.abs(bodies[body] @ placement - transform).max() < 1e-13
 
 
 def test_poses_keep_rotations_of_half_a_turn() -> None:
