@@ -111,6 +111,7 @@ soak: $(DEV) engines
 	@$(BIN)/python test/soak_accuracy.py --sessions 30
 	@$(BIN)/python test/soak_contact.py --steps 1000000
 	@$(BIN)/python test/soak_fit.py --count 20
+	@$(BIN)/python test/soak_robot.py --motions 10000
 	@$(BIN)/python test/soak_sleep.py --seconds 60
 	@$(BIN)/python test/soak_studies.py --runs 1000 --kills 50
 

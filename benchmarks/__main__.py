@@ -20,6 +20,7 @@ COMMANDS = {
     "peers": ("benchmarks.peers.throughput", "other engines on the same sheet, in an environment of their own"),
     "peers-contact": ("benchmarks.peers.contact", "other engines on a drape, a fold and a pinch; depth and creep"),
     "contact": ("benchmarks.contact.obstacles", "obstacles and friction against theory, and the cost of contact"),
+    "robot-links": ("benchmarks.contact.robot_links", "cost of a robot's links far from the cloth and near it"),
     "batch": ("benchmarks.batch.throughput", "many cloths in one process: speed, threads, memory, rollouts, a soak"),
     "studies": ("benchmarks.batch.studies", "cloth_batch beside plain simulations, and Dask's cost per task"),
     "ros-camera": ("benchmarks.ros.camera", "processor time of a depth camera's image and messages"),

@@ -34,7 +34,17 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.simulate import Motion, simulate
     from cloth_sim_ros.physics.state.state import State
     from cloth_sim_ros.scene.scene import Scene
-    from cloth_sim_ros.simulation.events import Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
+    from cloth_sim_ros.simulation.events import (
+        Grasp,
+        Move,
+        MoveObstacles,
+        Pause,
+        Relax,
+        Reset,
+        SetParameters,
+        Step,
+        Target,
+    )
     from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 __version__ = "0.2.0"
@@ -60,6 +70,7 @@ _MODULES = {
     "Model": "physics.model.model",
     "Motion": "physics.simulate",
     "Move": "simulation.events",
+    "MoveObstacles": "simulation.events",
     "OppositeSprings": "physics.model.forces.opposite",
     "PairSprings": "physics.model.forces.pair_springs",
     "Pause": "simulation.events",
@@ -98,6 +109,7 @@ __all__ = [
     "Model",
     "Motion",
     "Move",
+    "MoveObstacles",
     "OppositeSprings",
     "PairSprings",
     "Pause",

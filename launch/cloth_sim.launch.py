@@ -23,8 +23,8 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
         "cloth_sim",
         "scene of the package: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
         "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold, three "
-        "towels in a stack, a strip that two grippers twist, a sheet before a depth camera",
-        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist", "camera"],
+        "towels in a stack, a strip that two grippers twist, a sheet before a depth camera, a sheet beside an arm",
+        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist", "camera", "robot_arm"],
     ),
     ("params_file", "", "ROS parameter file of the cloth, in place of a scene of the package", None),
     ("namespace", "", "namespace of the node", None),
@@ -45,8 +45,8 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
     ("rviz", "false", "former name of viewer:=rviz", ["true", "false", "True", "False"]),
     ("rviz_config", PathJoinSubstitution([_CONFIG, "cloth_sim.rviz"]), "configuration of RViz", None),
 ]
-#: Meshes of scenes, which a node gets by absolute path.
-_MESHES = {"stack": "stack.obj"}
+#: Files of scenes, which a node gets by absolute path: parameter and name.
+_FILES = {"stack": ("cloth.mesh", "stack.obj"), "robot_arm": ("robot.description_file", "arm.urdf")}
 #: Topics of the RViz configuration, written for a node /cloth_sim with a gripper `gripper`.
 _RVIZ_TOPICS = ("points", "mesh", "obstacles", "gripper/point")
 
@@ -64,8 +64,9 @@ def _actions(context: LaunchContext) -> list[Any]:
     arguments = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
     clock = [{"use_sim_time": arguments["use_sim_time"].lower() == "true"}] if arguments["use_sim_time"] else []
     scene = [arguments["params_file"] or PathJoinSubstitution([_CONFIG, f"{arguments['scene']}.yaml"])]
-    if not arguments["params_file"] and arguments["scene"] in _MESHES:
-        scene.append({"cloth.mesh": PathJoinSubstitution([_CONFIG, _MESHES[arguments["scene"]]])})
+    if not arguments["params_file"] and arguments["scene"] in _FILES:
+        parameter, file = _FILES[arguments["scene"]]
+        scene.append({parameter: PathJoinSubstitution([_CONFIG, file])})
     cloth = Node(
         package="cloth_sim_ros",
         executable="cloth_sim",

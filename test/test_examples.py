@@ -146,6 +146,32 @@ def test_depth_picture_shows_cloth_and_obstacles(
     assert cloth.interrupt() == 0, cloth.output
 
 
+def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy")
+    import numpy as np
+
+    from cloth_sim_ros import MoveObstacles
+    from cloth_sim_ros.scene.parameters import parameter_file
+    from cloth_sim_ros.scene.robot.links import scene_with_links
+    from cloth_sim_ros.scene.robot.pad_stops import PadStops
+
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    assert (ROOT / "examples" / "arm.py").name == "arm.py"
+    import arm
+
+    values = parameter_file.read(ROOT / "config" / "robot_arm.yaml", strict=True)
+    scene, links = scene_with_links(values, folder=ROOT / "config")
+    assert not links.notes
+    simulation, stops = Simulation(scene), PadStops(scene, links)
+    # From where the open fingers are about the edge; the arm stands still before.
+    for t in np.arange(3.0, 4.5, scene.period):
+        positions = stops.stopped(np.array(arm.joints(t)))
+        frame = simulation.advance([MoveObstacles(links.names, links.poses(positions))])
+        assert not frame.stopped
+    closed, pulled = (links.link_pose("left_finger", np.array(arm.joints(t)))[0] for t in (4.0, 4.5))
+    assert simulation.positions[:, 0].max() > 0.25 + 0.7 * (pulled - closed)
+
+
 def test_pick_node_holds_the_towel_until_it_opens(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:

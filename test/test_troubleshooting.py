@@ -24,6 +24,7 @@ PAGES = [
         "node/gripper_action.md",
         "node/simulation_interfaces.md",
         "node/viewers.md",
+        "tutorials/robot.md",
     )
 ]
 PAGE = " ".join(" ".join(path.read_text(encoding="utf-8").replace("<br>", " ") for path in PAGES).split())

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from rclpy.clock import Clock, ClockType
 
@@ -32,6 +32,9 @@ from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.io.robot_start import RobotStart
 
 
 class ClothNode:
@@ -62,7 +65,8 @@ class ClothNode:
         **options: Any,
     ) -> None:
         self.node = parameters.SceneNode(name, **options)
-        scene = parameters.declare(self.node)
+        robot = self._robot_start(signal_name or str)
+        scene = parameters.declare(self.node, extend=None if robot is None else robot.extend)
         log = ThrottledLog(self.node.get_logger())
         log.flush()
         simulation = Simulation(scene)
@@ -87,7 +91,7 @@ class ClothNode:
             record_latched=lambda stamp: self.outputs.record_latched(stamp),
             refusal=lambda: self.failure.refusal,
         )
-        self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log)
+        self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log, robot)
         self.outputs = Outputs(self.node, simulation, self.inputs.commands, session, log)
         if scene.record.topics:
             self._add_bag_topics(session)
@@ -101,6 +105,14 @@ class ClothNode:
             "/diagnostics": lambda *_: self.reporting.diagnostics.send(),
             "the session": self.recording.fail,
         }
+
+    def _robot_start(self, signal_name: Callable[[], str]) -> RobotStart | None:
+        """Return what waits for the robot and its links; None without `robot.enabled`."""
+        if self.node.get_parameter_or("robot.enabled").value is not True:
+            return None
+        from cloth_sim_ros.ros.io.robot_start import RobotStart
+
+        return RobotStart(self.node, signal_name)
 
     @property
     def simulation(self) -> Simulation:
@@ -220,13 +232,14 @@ class ClothNode:
         stamp, last_command = self.timing.stamps(tick)
         self.recording.session.before_frame(stamp)
         self.reporting.accuracy.before_frame()
-        first += [*self.inputs.events(stamp), *self.timing.governor.events()]
+        first += [*self.inputs.events(stamp, last_command), *self.timing.governor.events()]
         frame = self.stepper.advance(last_command, first, last=last)
         if frame is None:
             return
         stamp = self.timing.publish_clock(frame, stamp)
         if self.stepper.refused_parameters:
             self.inputs.return_parameters(self.stepper.refused_parameters)
+        self.inputs.observe(frame)
         self.reporting.observe(frame, self.stepper.trouble)
         if self.outputs.must_publish(frame, start):
             self.recording.session.add_frame(frame, stamp)

@@ -41,7 +41,7 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
         name = values.get(parameter)
         if not isinstance(name, str) or not name:
             continue
-        content[name] = known[name] if name in known else _content(parameter, Path(folder) / name)
+        content[name] = known[name] if name in known else file_content(parameter, Path(folder) / name)
         n_bytes = integer_sum(map(len, content.values()))
         if n_bytes > MAX_BYTES:
             raise ParameterError(
@@ -50,7 +50,12 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
     return content
 
 
-def _content(parameter: str, path: Path) -> bytes:
+def file_content(parameter: str, path: Path) -> bytes:
+    """Return the content of the file that a parameter names.
+
+    Raises:
+        ParameterError: if it can't be read.
+    """
     try:
         return input_file.read_bytes(path, max_bytes=MAX_BYTES)
     except InputFileError as error:

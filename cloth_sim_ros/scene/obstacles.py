@@ -140,7 +140,7 @@ def solid(name: str, description: sections.ObstacleParameters, files: Mapping[st
     return _solid(name, description, files[description.mesh] if is_mesh else b"")
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=512)
 def _solid(name: str, description: sections.ObstacleParameters, content: bytes) -> Obstacle:
     """Return the rigid shape of a description and its file's content.
 
@@ -168,7 +168,7 @@ def _solid(name: str, description: sections.ObstacleParameters, content: bytes) 
         raise ParameterError(str(error)) from error
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=128)
 def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
     """Return the mesh of an obstacle's file.
 

@@ -48,6 +48,7 @@ from cloth_sim_ros.scene.sections import (
     MaterialParameters,
     PointsParameters,
     RecordParameters,
+    RobotParameters,
     TfParameters,
     WindParameters,
 )
@@ -103,6 +104,7 @@ class Scene:
         constraint=limits.NAMES,
         live=True,
     )
+    robot: RobotParameters = section(RobotParameters)
     contact: ContactParameters = section(ContactParameters)
     cameras: tuple[str, ...] = parameter(
         "string[]",
@@ -278,13 +280,18 @@ class Scene:
     def from_file(cls, path: str | Path, *, node: str = "cloth_sim") -> Scene:
         """Read a scene from a ROS parameter file; its folder is the base of file names in it.
 
-        ROS's own entries of a parameter dump (`use_sim_time`, `qos_overrides`) are ignored.
+        ROS's own entries of a parameter dump (`use_sim_time`, `qos_overrides`) are ignored. With `robot.enabled`, the
+        links in `robot.description_file` become obstacles.
 
         Raises:
             ParameterError: as `from_parameters`, or if the file can't be read, or sets parameters only for other nodes.
         """
         values = parameter_file.read(path, node=node, strict=True)
         cloth_values = {name: value for name, value in values.items() if not is_ros_parameter(name)}
+        if cloth_values.get("robot.enabled") is True:
+            from cloth_sim_ros.scene.robot.links import scene_with_links
+
+            return scene_with_links(cloth_values, folder=Path(path).parent)[0]
         return cls.from_parameters(cloth_values, folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:
@@ -364,6 +371,16 @@ class Scene:
     def obstacle_names(self) -> list[str]:
         """Names of the present obstacles."""
         return [name for name in self.obstacles if name]
+
+    @property
+    def link_names(self) -> list[str]:
+        """Names of the present obstacles that are links of a robot."""
+        return [name for name in self.obstacle_names if self.described[name].link]
+
+    @property
+    def unlinked_names(self) -> list[str]:
+        """Names of the described obstacles that are no links of a robot, and therefore have topics."""
+        return [name for name, obstacle in self.described.items() if not obstacle.link]
 
     @property
     def solids(self) -> list[Obstacle]:

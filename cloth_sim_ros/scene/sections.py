@@ -14,6 +14,7 @@ from cloth_sim_ros.physics.model.sheets.surface import LAYOUTS
 from cloth_sim_ros.scene.gripper_section import GripperParameters as GripperParameters
 from cloth_sim_ros.scene.limits import FRAME, FRICTION, MAX_PARTICLES, QUATERNION
 from cloth_sim_ros.scene.parameters.declare import parameter
+from cloth_sim_ros.scene.robot_section import RobotParameters as RobotParameters
 
 
 @attrs.frozen(kw_only=True)
@@ -337,6 +338,9 @@ class ObstacleParameters:
     )
     frame: str = parameter(
         "string", "", "TF frame that it follows; empty: none. Needs tf2_ros", constraint=FRAME, live=True, observes=True
+    )
+    link: str = parameter(
+        "string", "", "Link of the robot that it is part of and follows; set by robot.enabled, not by hand", live=True
     )
 
 

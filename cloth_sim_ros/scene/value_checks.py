@@ -27,6 +27,9 @@ class SceneValues(Protocol):
     def gripper(self) -> sections.GripperParameters: ...
 
     @property
+    def robot(self) -> sections.RobotParameters: ...
+
+    @property
     def tolerance(self) -> float: ...
 
     @property
@@ -79,6 +82,7 @@ def check_values(scene: SceneValues) -> None:
         )
     )
     faults.collect(lambda: obstacles.check_friction("contact.friction", scene.contact.friction))
+    faults.collect(lambda: obstacles.check_friction("robot.friction", scene.robot.friction))
     faults.refuse()
 
 
@@ -95,6 +99,7 @@ def _faults(scene: SceneValues) -> Iterator[str]:
     orientations = {
         "cloth.orientation": scene.cloth.orientation,
         "gripper.sensor_orientation": scene.gripper.sensor_orientation,
+        "robot.orientation": scene.robot.orientation,
     }
     for name, orientation in orientations.items():
         try:

@@ -144,6 +144,10 @@ def _are_poses(value: Any) -> bool:
     return isinstance(value, dict) and all(_is_vector(pose) and len(pose) == 7 for pose in value.values())
 
 
+def _are_rows(value: Any) -> bool:
+    return isinstance(value, list) and all(map(_is_vector, value))
+
+
 def _are_names(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
@@ -176,6 +180,8 @@ _EXTRA_CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
 _EVENT_CHECKS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
     "gripper": (("target", "grasp"), lambda value: isinstance(value, str), "a text"),
     "obstacle": (("move",), lambda value: isinstance(value, str), "a text"),
+    "obstacles": (("move_obstacles",), _are_names, "a list of texts"),
+    "poses": (("move_obstacles",), _are_rows, "a list of lists of numbers"),
     "position": (("target", "move"), _is_vector, "a list of numbers"),
     "orientation": (("target", "move"), lambda value: value is None or _is_vector(value), "numbers or null"),
     "closed": (("grasp",), lambda value: isinstance(value, bool), "true or false"),

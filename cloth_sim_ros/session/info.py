@@ -17,7 +17,7 @@ from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.session.reader import SessionReader, read_frame
 
 _MAX_NOTABLE_EVENTS = 12
-_TARGET_EVENTS = ("target", "move")
+_TARGET_EVENTS = ("target", "move", "move_obstacles")
 
 
 @dataclass(slots=True)

@@ -20,7 +20,17 @@ from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.gripper_pads import pads_of
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.bodies.bodies import change_obstacles
-from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target, ordered
+from cloth_sim_ros.simulation.events import (
+    Event,
+    Grasp,
+    Move,
+    MoveObstacles,
+    Relax,
+    Reset,
+    SetParameters,
+    Target,
+    ordered,
+)
 
 #: Largest coordinate of a target [m]; anything beyond it is a mistake.
 MAX_COORDINATE = 1e4
@@ -71,6 +81,8 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
     elif isinstance(event, Move):
         _check_name("obstacle", event.obstacle, scene.obstacles)
         _check_pose(event.obstacle, event.position, event.orientation)
+    elif isinstance(event, MoveObstacles):
+        _check_poses(event, scene)
     elif isinstance(event, SetParameters):
         return _check_parameters(event, scene, state)
     elif isinstance(event, Reset):
@@ -127,6 +139,28 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
             unit_quaternion(orientation)
         except ValueError as error:
             raise EventError(f"target of '{name}': {error}") from error
+
+
+def _check_poses(event: MoveObstacles, scene: Scene) -> None:
+    """Refuse poses of several obstacles; one of them is checked alone only to name its fault."""
+    names, poses = event.obstacles, event.poses
+    known = set(scene.obstacle_names)
+    if not known.issuperset(names):
+        _check_name("obstacle", next(name for name in names if name not in known), scene.obstacles)
+    if len(set(names)) != len(names):
+        raise EventError(f"obstacles {list(names)} are moved; name each of them once")
+    if poses.shape != (len(names), 7):
+        raise EventError(f"poses of {len(names)} obstacles have shape {poses.shape}; give 7 numbers for each")
+    squares = poses[:, 3] * poses[:, 3]
+    for k in range(4, 7):
+        squares = squares + poses[:, k] * poses[:, k]
+    # A comparison with NaN is false.
+    is_valid = (np.abs(poses[:, :3]) <= MAX_COORDINATE).all(axis=1) & (squares >= 1e-12) & (squares < math.inf)
+    if not is_valid.all():
+        k = int(np.argmin(is_valid))
+        pose = poses[k].tolist()
+        _check_pose(names[k], pose[:3], pose[3:])
+        raise EventError(f"target of '{names[k]}' is {pose}; it must be 7 finite numbers")
 
 
 def _check_pads(event: Target, scene: Scene, state: State) -> None:

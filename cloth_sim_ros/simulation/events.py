@@ -7,6 +7,8 @@ from __future__ import annotations
 from typing import Any
 
 import attrs
+import numpy as np
+from numpy.typing import NDArray
 
 Vector = tuple[float, ...]
 
@@ -35,6 +37,25 @@ class Move:
     position: Vector = attrs.field(converter=_floats)
     #: Unit quaternion x, y, z, w, or None.
     orientation: Vector | None = attrs.field(default=None, converter=attrs.converters.optional(_floats))
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    return tuple(value)
+
+
+def _pose_rows(value: Any) -> NDArray[np.float64]:
+    rows = np.array(value, dtype=np.float64)
+    rows.setflags(write=False)
+    return rows
+
+
+@attrs.frozen
+class MoveObstacles:
+    """Commands several obstacles to poses, as a `Move` for each does, at the cost of one event."""
+
+    obstacles: tuple[str, ...] = attrs.field(converter=_names)
+    #: Position [m] and unit quaternion x, y, z, w of each obstacle, shape (count, 7).
+    poses: NDArray[np.float64] = attrs.field(converter=_pose_rows, eq=attrs.cmp_using(eq=np.array_equal))
 
 
 @attrs.frozen
@@ -83,11 +104,12 @@ class Relax:
     factor: float = attrs.field(converter=float)
 
 
-Event = Target | Move | Grasp | SetParameters | Pause | Step | Reset | Relax
+Event = Target | Move | MoveObstacles | Grasp | SetParameters | Pause | Step | Reset | Relax
 
 _KINDS: dict[str, type] = {
     "target": Target,
     "move": Move,
+    "move_obstacles": MoveObstacles,
     "grasp": Grasp,
     "set_parameters": SetParameters,
     "pause": Pause,
@@ -103,13 +125,14 @@ _OPTIONAL = {"opening": None, "force": 0.0, "speed": 0.0}
 #: Types of the fields that have no converter.
 _TYPES = {"gripper": str, "obstacle": str, "values": dict, "paused": bool}
 #: Kinds that come before others. Built once, because building a union of types takes longer than the isinstance check.
-_BEFORE_OTHERS = (Target, Move, Grasp)
+_BEFORE_OTHERS = (Target, Move, MoveObstacles, Grasp)
 
 
 def ordered(events: list[Event]) -> list[Event]:
     """Return events in the order in which a frame applies them.
 
-    First the newest target of each gripper and each obstacle, then grasps, then other events, each in order of arrival.
+    First the newest target of each gripper, then moves of several obstacles. The newest target of each obstacle is
+    next, then grasps, then other events. Events of one kind keep their order of arrival.
     """
     if len(events) < 2:
         return events
@@ -122,7 +145,8 @@ def ordered(events: list[Event]) -> list[Event]:
             moves[event.obstacle] = event
     grasps = [event for event in events if isinstance(event, Grasp)]
     later = [event for event in events if not isinstance(event, _BEFORE_OTHERS)]
-    newest = [*(targets[name] for name in sorted(targets)), *(moves[name] for name in sorted(moves))]
+    several = [event for event in events if isinstance(event, MoveObstacles)]
+    newest = [*(targets[name] for name in sorted(targets)), *several, *(moves[name] for name in sorted(moves))]
     return [*newest, *grasps, *later]
 
 
@@ -160,4 +184,6 @@ def from_dict(data: dict[str, Any]) -> Event:
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
     return list(value) if isinstance(value, tuple) else value

@@ -27,7 +27,18 @@ from cloth_sim_ros.simulation.bodies import bodies
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.contact_recovery import ContactRecovery, contact_recovery, pad_rows, reduce_contacts
 from cloth_sim_ros.simulation.event_checks import check, check_all, check_new_scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
+from cloth_sim_ros.simulation.events import (
+    Event,
+    Grasp,
+    Move,
+    MoveObstacles,
+    Pause,
+    Relax,
+    Reset,
+    SetParameters,
+    Step,
+    Target,
+)
 from cloth_sim_ros.simulation.exclusive import ExclusiveAccess, between_frames, exclusive
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.initial_state import apply_grasp, starting_states, stop_anchored, stop_particles
@@ -243,6 +254,9 @@ class Simulation(ExclusiveAccess):
                 case Move():
                     assert self.obstacles is not None
                     self.obstacles.set_target(event)
+                case MoveObstacles():
+                    assert self.obstacles is not None
+                    self.obstacles.set_targets(event)
                 case Grasp():
                     grasped = np.empty(0, dtype=np.int64) if event.closed else self._grasped_particles(event.gripper)
                     grasps.append(apply_grasp(event, self.state, self._scene, self.model, self.grippers, self.pinching))

@@ -121,7 +121,7 @@ class RunRecording:
             cloud = self._cloud.encode(state.x, stamp, state.v if fields.velocity else None, normals)
         wrenches = frame.wrenches.tolist()
         if len(frame.obstacle_wrenches):
-            wrenches += frame.obstacle_wrenches.tolist()
+            wrenches += frame.obstacle_wrenches[self._unlinked_indices].tolist()
         self._pending.append(_PendingFrame(stamp, tuple(events), record, cloud, self._topics, wrenches))
         if len(self._pending) >= _FRAMES_PER_WRITE:
             self._write_pending()
@@ -141,7 +141,11 @@ class RunRecording:
     def _set_scene(self, scene: Scene) -> None:
         """Set the scene of the following frames."""
         self._scene, self._period = scene, scene.period
-        self._topics = [f"{NODE}/{name}/wrench" for name in (*scene.gripper_names, *scene.obstacle_names)]
+        names, links = scene.obstacle_names, set(scene.link_names)
+        #: Indices of the obstacles with topics: all but links of a robot.
+        self._unlinked_indices = [k for k, name in enumerate(names) if name not in links]
+        unlinked_names = [names[k] for k in self._unlinked_indices]
+        self._topics = [f"{NODE}/{name}/wrench" for name in (*scene.gripper_names, *unlinked_names)]
 
     def _write_pending(self) -> None:
         """Write the pending frames."""

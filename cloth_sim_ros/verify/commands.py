@@ -29,7 +29,7 @@ _GRACE = 1_500_000_000
 #: Maximum lead of a stamp over its arrival [ns].
 _MAX_STAMP_LEAD = 1_000_000_000
 #: Events that services and the node cause, without a message.
-_UNCOMMANDED_EVENTS = ("set_parameters", "pause", "step", "reset", "relax")
+_UNCOMMANDED_EVENTS = ("set_parameters", "pause", "step", "reset", "relax", "move_obstacles")
 
 _Pose = tuple[float, ...]
 
@@ -62,7 +62,7 @@ class CommandCheck:
         self._findings, self._frame_id, self._node = findings, scene.frame_id, node
         self._grippers = frozenset(scene.gripper_names)
         bodies = [(name, leaf) for name in scene.gripper_names for leaf in _READERS]
-        bodies += [(name, leaf) for name in scene.described for leaf in ("target", "point")]
+        bodies += [(name, leaf) for name in scene.unlinked_names for leaf in ("target", "point")]
         self._kinds = {f"{node}/{name}/{leaf}": (name, leaf) for name, leaf in bodies}
         #: Bodies that are not compared, with the reason: received commands alone do not move them.
         self._untracked = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}
@@ -143,7 +143,8 @@ class CommandCheck:
                 moved.add(name)
                 self._match_target(name, event, stamp, known=is_complete)
             elif kind in _UNCOMMANDED_EVENTS:
-                self._skip("events", f"{kind}, by a service or the node itself")
+                cause = "a robot's joint states or TF" if kind == "move_obstacles" else "a service or the node itself"
+                self._skip("events", f"{kind}, by {cause}")
                 if kind == "set_parameters":
                     self._update_bodies(event["values"])
         for name in [name for name, waiting in self._waiting.items() if waiting and name not in moved]:

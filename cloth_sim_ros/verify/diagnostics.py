@@ -17,7 +17,7 @@ from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
-from cloth_sim_ros.simulation.events import Move, Reset, Target
+from cloth_sim_ros.simulation.events import Move, MoveObstacles, Reset, Target
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.verdict import Findings
@@ -69,6 +69,7 @@ class DiagnosticsCheck:
         if self._stopped:
             scene = simulation.scene
             retargeted = {event.obstacle for event in frame.events if isinstance(event, Move)}
+            retargeted.update(*(event.obstacles for event in frame.events if isinstance(event, MoveObstacles)))
             retargeted |= {event.gripper for event in frame.events if isinstance(event, Target)}
             self._stopped = (self._stopped - retargeted) & {*scene.obstacle_names, *scene.gripper_names}
         self._stopped |= set(frame.stopped)

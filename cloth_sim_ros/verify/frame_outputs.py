@@ -48,7 +48,7 @@ class FrameOutputCheck:
         scene = simulation.scene
         self._points, self._topology = f"{node}/points", f"{node}/topology"
         self._state_topic, self._marker_topic = f"{node}/state", f"{node}/obstacles"
-        self._wrenches = {name: f"{node}/{name}/wrench" for name in (*scene.gripper_names, *scene.described)}
+        self._wrenches = {name: f"{node}/{name}/wrench" for name in (*scene.gripper_names, *scene.unlinked_names)}
         self._grippers = {f"{node}/{name}/state": name for name in scene.gripper_names}
         self._clouds = outputs.CloudCheck(scene, findings)
         self._states = StateCheck(findings)
@@ -94,8 +94,8 @@ class FrameOutputCheck:
         """Begin a frame of the re-run that was due at a ROS time [ns]; its messages follow."""
         simulation = self._simulation
         scene = simulation.scene
-        for name in scene.obstacle_names:
-            if name not in self._wrenches:
+        for name in scene.unlinked_names:
+            if name in scene.obstacle_names and name not in self._wrenches:
                 self._add_wrench(name)
         self._frame, self._stamp = frame, stamp
         self._states.open_frame()
@@ -110,7 +110,7 @@ class FrameOutputCheck:
                 self._expected.append(self._marker_topic)
             if self._changed:
                 # The node sends no obstacle wrenches in a frame that adds or removes obstacles.
-                for name in scene.obstacle_names:
+                for name in set(scene.obstacle_names).difference(scene.link_names):
                     self._expected.remove(self._wrenches[name])
         self._reasons = self._gripper_states.expected_reasons(frame, simulation)
         self._expected += [f"{self._node}/{name}/state" for name in self._reasons]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.plan.gripper_path import body_points
 from cloth_sim_ros.session.cdr import decode, encode, message_class
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
@@ -191,10 +191,10 @@ class _MarkerLayout:
         time = struct.pack("<iI", *divmod(stamp, 10**9))
         for start in self._stamp_offsets:
             self._data[start : start + 8] = time
-        for start, (k, offset) in zip(self._pose_offsets, self._parts, strict=True):
-            pose = poses[k]
-            at = (pose[:3] + rotation_matrix(pose[3:]) @ offset).tolist()
-            struct.pack_into("<7d", self._data, start, *at, *pose[3:].tolist())
+        numbers = poses[[k for k, _ in self._parts]]
+        numbers[:, :3] = body_points(numbers, np.array([offset for _, offset in self._parts]).reshape(-1, 3))
+        for start, pose in zip(self._pose_offsets, numbers.tolist(), strict=True):
+            struct.pack_into("<7d", self._data, start, *pose)
         return bytes(self._data)
 
 

@@ -240,9 +240,11 @@ def compare_transforms(message: Message, node: str, simulation: Simulation, stam
 
 
 def wrenches(scene: Scene, frame: Frame) -> list[tuple[str, Array]]:
-    """Return names and wrenches [N, N m] of a frame for each gripper and each obstacle."""
+    """Return names and wrenches [N, N m] of a frame for each gripper, and each obstacle that is no link of a robot."""
     gripper_wrenches = list(zip(scene.gripper_names, frame.wrenches, strict=True))
-    return [*gripper_wrenches, *zip(scene.obstacle_names, frame.obstacle_wrenches, strict=True)]
+    of_obstacles = zip(scene.obstacle_names, frame.obstacle_wrenches, strict=True)
+    links = scene.link_names
+    return [*gripper_wrenches, *((name, wrench) for name, wrench in of_obstacles if name not in links)]
 
 
 def _transforms(prefix: str, simulation: Simulation) -> list[tuple[str, Sequence[float]]]:

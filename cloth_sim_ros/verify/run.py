@@ -194,7 +194,11 @@ class _SessionRun:
         self._commands.end()
 
     def _skip(self, message: Message) -> None:
-        topic = message.topic
+        topic, robot = message.topic, self.simulation.scene.robot
+        if robot.enabled and topic.endswith(f"/{robot.joint_states_topic.lstrip('/~')}"):
+            self._completeness.add(message, is_from_node=True)
+            self._findings.not_compared(topic, "joint states; the poses of links that follow from them are events")
+            return
         is_from_node = topic in _SHARED or topic == "/tf" or topic.startswith(f"{self._node}/")
         self._completeness.add(message, is_from_node=is_from_node)
         default = "an unknown topic of the node" if is_from_node else "not the node's"

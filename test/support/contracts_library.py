@@ -50,6 +50,7 @@ def event_fields() -> dict[str, Any]:
     samples: list[events.Event] = [
         events.Target("left", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0)),
         events.Move("table", (1.0, 2.0, 3.0)),
+        events.MoveObstacles(["table"], [[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]]),
         events.Grasp("left", True),
         events.SetParameters({"gravity": [0.0, 0.0, -1.0]}),
         events.Pause(True),

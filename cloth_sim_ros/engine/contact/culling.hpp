@@ -45,6 +45,16 @@ struct BoundingBall {
         if (obstacle.shape == Shape::plane) return dot(posed.rotation[2], offset) - radius;
         return root(norm2(offset)) - radius - obstacle.radius;
     }
+    /// Whether all particles surely are further than a distance [m] from an obstacle on its path until time t. False for
+    /// planes, jaws, and positions that are not finite. No pose is computed.
+    bool is_away(const Contacts& contacts, std::int64_t obstacle, double t, double distance) const {
+        const Obstacle& properties = contacts.obstacles[obstacle];
+        if (!finite || properties.shape == Shape::plane || contacts.jaw_of(obstacle)) return false;
+        const double* const path = contacts.path(obstacle);
+        const Vec3<double> start{path[1], path[2], path[3]};
+        const double length = max_path_motion(path, absolute(t - path[0])).length;
+        return root(norm2(center - start)) - radius - properties.radius - length > 1.001 * distance;
+    }
     double rounding_margin(const PosedObstacle<double>& posed) const {
         return 64.0 * std::numeric_limits<double>::epsilon() *
                (root(norm2(center)) + root(norm2(posed.position)) + radius);

@@ -109,10 +109,32 @@ struct FeaturePairs : PairLists {
 private:
     template <bool Edges>
     static void measure(const Surface& s, const FeaturesAt& from, const Quads& at, PairList& pairs) {
+        using V = vec<double>;
         pairs.square.resize(pairs.size() + lanes<double>);
-        for (std::size_t k = 0; k < pairs.size(); ++k)
-            pairs.square[k] =
-                pair_square<Edges>(feature_corners<Edges>(s, from.features, pairs, k), with_point_positions(from, at));
+        const Pose& pose = from.pose;
+        const Vec3<V> position = splat3<V>(pose.position),
+                      axis[3] = {splat3<V>(pose.rotation[0]), splat3<V>(pose.rotation[1]), splat3<V>(pose.rotation[2])};
+        for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
+            // Points of the obstacle are in its frame. The last pair fills the vectors.
+            alignas(64) double numbers[4][3][lanes<double>];
+            for (int lane = 0; lane < lanes<double>; ++lane) {
+                const auto corners =
+                    feature_corners<Edges>(s, from.features, pairs, std::min(k + lane, pairs.size() - 1));
+                for (int j = 0; j < 4; ++j) {
+                    const Vec3<double> p = corners[j] < 0 ? from.features.points[~corners[j]] : at(corners[j]);
+                    numbers[j][0][lane] = p.x, numbers[j][1][lane] = p.y, numbers[j][2][lane] = p.z;
+                }
+            }
+            Vec3<V> x[4];
+            for (int j = 0; j < 4; ++j) {
+                x[j] = {load(numbers[j][0]), load(numbers[j][1]), load(numbers[j][2])};
+                if (Edges ? j > 1 : j < 1) x[j] = position + (x[j].x * axis[0] + x[j].y * axis[1] + x[j].z * axis[2]);
+            }
+            if constexpr (Edges)
+                store(pairs.square.data() + k, near_segments(x[0], x[1], x[2], x[3]).square);
+            else
+                store(pairs.square.data() + k, near_triangle(x[0], x[1], x[2], x[3]).square);
+        }
     }
     void find(const Surface& s, const FeaturesAt& from, const Quads& at, double range) {
         const double length = longest_edge(s, at);

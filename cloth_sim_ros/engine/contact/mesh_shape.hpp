@@ -24,6 +24,7 @@ public:
         order_.resize(triangles_.size());
         std::iota(order_.begin(), order_.end(), Index{0});
         build_tree(0, static_cast<Index>(order_.size()));
+        gather_leaves();
     }
 
     /// Nearest feature of the mesh: point `from`; its kind, a face, an edge or a vertex; and whether the query point is
@@ -33,9 +34,16 @@ public:
         int kind = 0;  ///< 0 vertex, 1 edge, 2 face
         bool inside = false;
     };
-    NearestFeature nearest(Vec3<double> p) const {
+    /// `hint`: a triangle that most likely is near; it becomes the nearest one. The result does not depend on it.
+    NearestFeature nearest(Vec3<double> p, Index* hint = nullptr) const {
         Best best;
+        if (hint) {
+            // A little more than its distance, so that the search finds the same of several nearest triangles as without.
+            const double square = near_triangle(p, corner(*hint, 0), corner(*hint, 1), corner(*hint, 2)).square;
+            if (square < best.square) best.square = (1.0 + 1e-9) * square + 1e-30;
+        }
         search(0, p, best);
+        if (hint) *hint = best.triangle;
         const auto& t = triangles_[best.triangle];
         const Vec3<double> x[3] = {vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]};
         int corner_index[3], count = 0;
@@ -59,20 +67,26 @@ public:
         return s;
     }
 
+    /// Squared distance of a point from the box about the mesh [m^2]: a lower bound of that from the mesh, zero inside.
+    double box_square(Vec3<double> p) const { return box_square(0, p); }
+
 private:
     struct Node {
         AxisBox box;
         Index first, last;  ///< of the triangles in order
         Index left = -1, right = -1;
+        Index leaf = -1;  ///< of a leaf
     };
     struct Best {
         double square = 1e300;
         Index triangle = 0;
         OnTriangle<double> point;
     };
-    /// Maximum number of triangles in a leaf of the tree.
+    /// Maximum number of triangles in a leaf of the tree; whole vectors of them.
     static constexpr Index max_leaf_size = 4;
+    static constexpr int leaf_pitch = std::max<int>(max_leaf_size, lanes<double>);
 
+    Vec3<double> corner(Index triangle, int k) const { return vertices_[triangles_[triangle][k]]; }
     static Vec3<double> unit(Vec3<double> a) { return (1.0 / root(norm2(a))) * a; }
     /// Angle between two vectors: tangent of its half, halved three times, then the series of the arctangent.
     static double angle(Vec3<double> a, Vec3<double> b) {
@@ -130,6 +144,20 @@ private:
         nodes_[node_index].right = right;
         return node_index;
     }
+    /// Gather the corners of each leaf's triangles: 9 rows of numbers a leaf. The last triangle fills the vectors.
+    void gather_leaves() {
+        Index n_leaves = 0;
+        for (Node& node : nodes_)
+            if (node.left < 0) node.leaf = n_leaves++;
+        leaf_corners_.resize(9 * leaf_pitch * n_leaves);
+        for (const Node& node : nodes_)
+            for (int k = 0; node.left < 0 && k < leaf_pitch; ++k)
+                for (int c = 0; c < 3; ++c) {
+                    const Vec3<double> x = corner(order_[std::min<Index>(node.first + k, node.last - 1)], c);
+                    double* const to = leaf_corners_.data() + 9 * leaf_pitch * node.leaf + 3 * leaf_pitch * c + k;
+                    to[0] = x.x, to[leaf_pitch] = x.y, to[2 * leaf_pitch] = x.z;
+                }
+    }
     double box_square(Index node, Vec3<double> p) const {
         const AxisBox& box = nodes_[node].box;
         const auto out = [](double a, double low, double high) { return larger(larger(low - a, a - high), 0.0); };
@@ -139,10 +167,22 @@ private:
     void search(Index node_index, Vec3<double> p, Best& best) const {
         const Node& node = nodes_[node_index];
         if (node.left < 0) {
-            for (Index k = node.first; k < node.last; ++k) {
-                const auto& t = triangles_[order_[k]];
-                const auto point = near_triangle(p, vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]);
-                if (point.square < best.square) best = {point.square, order_[k], point};
+            using V = vec<double>;
+            const double* numbers = leaf_corners_.data() + 9 * leaf_pitch * node.leaf;
+            const auto corners = [&](int k) {
+                const double* const from = numbers + 3 * leaf_pitch * k;
+                return Vec3<V>{load(from), load(from + leaf_pitch), load(from + 2 * leaf_pitch)};
+            };
+            for (Index first = node.first; first < node.last; first += lanes<double>, numbers += lanes<double>) {
+                const OnTriangle<V> n = near_triangle(Vec3<V>{splat<V>(p.x), splat<V>(p.y), splat<V>(p.z)}, corners(0),
+                                                      corners(1), corners(2));
+                for (int k = 0; k < lanes<double> && first + k < node.last; ++k)
+                    if (n.square[k] < best.square)
+                        best = {n.square[k],
+                                order_[first + k],
+                                {{n.weight[0][k], n.weight[1][k], n.weight[2][k]},
+                                 n.square[k],
+                                 {n.away.x[k], n.away.y[k], n.away.z[k]}}};
             }
             return;
         }
@@ -157,6 +197,7 @@ private:
     std::vector<std::array<Vec3<double>, 3>> edges_;
     std::vector<Index> order_;
     std::vector<Node> nodes_;
+    Array<double> leaf_corners_;
 };
 
 }  // namespace cloth::contact

@@ -60,8 +60,8 @@ private:
 };
 
 /// Call visit(obstacle, first, shape, posed, block) for each block of particles near an obstacle, unless
-/// skips(obstacle, posed). A block is near if its least gap is below widest(speed) [m], where `speed` is the largest
-/// relative speed in the block [m/s].
+/// skips(obstacle, posed) or, before the pose is computed, skips(obstacle). A block is near if its least gap is below
+/// widest(speed) [m], where `speed` is the largest relative speed in the block [m/s].
 template <class S, class W, class F>
 inline void for_each_near_block(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
                                 F&& visit) {
@@ -69,46 +69,59 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
     BlockReader blocks(plan, x, v);
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
         if (!contacts.present(obstacle)) continue;
+        if constexpr (std::is_invocable_v<S, std::int64_t>)
+            if (skips(obstacle)) continue;
         PosedObstacle<double> posed(contacts.obstacle_pose(obstacle, t), contacts.obstacles[obstacle]);
         if (contacts.jaw_of(obstacle)) posed.lever = posed.position - pose_at(contacts.path(obstacle), t).position;
-        if (skips(obstacle, posed)) continue;
+        if constexpr (std::is_invocable_v<S, std::int64_t, const PosedObstacle<double>&>)
+            if (skips(obstacle, posed)) continue;
         const Vec3<double>& size = contacts.obstacles[obstacle].size;
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
             for (std::int64_t first = 0; first < plan.count; first += contact_block) {
                 const Block<double> block = blocks.at(first);
+                double limit = no_gap<double>;
+                if constexpr (shape.value == Shape::mesh) {
+                    const auto bound = bound_block(posed, contacts.obstacles[obstacle], block);
+                    limit = widest(bound.speed);
+                    if (bound.gap > limit) continue;
+                }
                 const auto result =
-                    scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0).result();
+                    scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0, limit).result();
                 if (result.gap < widest(result.speed)) visit(obstacle, first, shape, posed, block);
             }
         });
     }
 }
-/// Call `visit` for each free particle of those blocks.
-template <class W, class F>
-inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& visit) {
-    const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
+/// Call `visit` for each free particle of those blocks. Gaps of a mesh above widest(0) [m] may be lower bounds.
+template <class S, class W, class F>
+inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
+                          F&& visit) {
     for_each_near_block(
-        plan, t, x, v, none, widest,
+        plan, t, x, v, skips, widest,
         [&](std::int64_t obstacle, std::int64_t first, auto shape, const PosedObstacle<double>& posed,
             const Block<double>& block) {
             const Vec3<double>& size = plan.contacts.obstacles[obstacle].size;
             for (std::int64_t i = 0; i < block.count; ++i) {
                 if (!(block.mass[i] > 0.0)) continue;
                 const auto s = contact_kinematics<shape.value, true, double>(posed, size, block.position<double>(i),
-                                                                             block.velocity<double>(i));
+                                                                             block.velocity<double>(i), widest(0.0));
                 visit(ObstacleContact{s, obstacle, first + i, block.mass[i], posed,
                                       plan.contacts.reduced.scaling(obstacle, first + i, plan.count + 1, t)});
             }
         });
 }
-/// Limit of the gap for all blocks.
+/// Limit of the gap for all blocks, and a test that skips no obstacle.
 inline constexpr auto any_distance = [](double) { return no_gap<double>; };
-/// Call `visit` for each particle in contact.
+inline constexpr auto none = [](std::int64_t) { return false; };
+/// Call `visit` for each particle in contact. An obstacle whose bounding sphere stays away from all particles on its
+/// path is skipped.
 template <class F>
 inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& visit) {
     const double thickness = plan.contacts.thickness;
+    const BoundingBall cloth(x, plan.count);
+    const auto is_far = [&](std::int64_t obstacle) { return cloth.is_away(plan.contacts, obstacle, t, thickness); };
     for_each_near(
-        plan, t, x, v, [&](double) { return thickness; },
+        plan, t, x, v, is_far, [&](double) { return thickness; },
         [&](const ObstacleContact& contact) {
             if (contact.scaled_gap() < thickness) visit(contact);
         });
@@ -137,7 +150,6 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
     const std::int64_t n = plan.count, size = plan.anchor_count();
     std::fill(out, out + size, 0.0);
     const auto law = contacts.law<V>();
-    const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
     const auto combine_anchor = [&](std::int64_t index, double* to) {
         const double* const last_anchor = ends + (runs - 1) * size + index;
         bool all_bonded = true, same = true;
@@ -163,7 +175,7 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
             const FrictionLaw<V> friction(properties.friction, contacts.frequency);
             for (std::ptrdiff_t j = 0; j < block.count; j += lanes<double>) {
                 const auto s = contact_kinematics<shape.value, true, V>(posed, properties.size, block.position<V>(j),
-                                                                        block.velocity<V>(j));
+                                                                        block.velocity<V>(j), contacts.thickness);
                 const Scaling<V> scaling = contacts.reduced.lane_scaling(obstacle * (n + 1) + first + j, t);
                 const V gap = scaling.gap(s.gap);
                 const auto in_contact = (load(block.mass + j) > V{}) & (gap < splat<V>(contacts.thickness));
@@ -329,15 +341,21 @@ void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
         out[2 * obstacle] = 0.0;
         out[2 * obstacle + 1] = std::numeric_limits<double>::infinity();
     }
-    for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
-        double* const to = out + 2 * contact.obstacle;
-        to[0] += contact.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
-        to[1] = smaller(contact.gap, to[1]);
-    });
+    // Gaps above the least one found so far, and above the thickness, change nothing.
+    double limit = no_gap<double>;
+    const auto begin = [&](std::int64_t) { return limit = no_gap<double>, false; };
+    for_each_near(
+        plan, t, x, nullptr, begin, [&](double) { return limit; },
+        [&](const ObstacleContact& contact) {
+            double* const to = out + 2 * contact.obstacle;
+            to[0] += contact.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
+            to[1] = smaller(contact.gap, to[1]);
+            limit = larger(to[1], plan.contacts.thickness);
+        });
 }
 /// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
 void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
-    for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
+    for_each_near(plan, t, x, nullptr, none, any_distance, [&](const ObstacleContact& contact) {
         out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap;
     });
 }
@@ -349,7 +367,7 @@ bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0
     const std::int64_t n = plan.count;
     const double min_step = 1e-3 * plan.contacts.thickness;
     bool intersects = false;
-    for_each_near(plan, t, x0, nullptr, any_distance, [&](const ObstacleContact& contact) {
+    for_each_near(plan, t, x0, nullptr, none, any_distance, [&](const ObstacleContact& contact) {
         if (intersects) return;
         const double* const path = plan.contacts.path(contact.obstacle);
         const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];
@@ -435,12 +453,24 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
                 speed_change[k] = splat3<V>(future_pose.velocity - posed.velocity);
                 spin[k] = splat3<V>(future_pose.spin - posed.spin);
             }
+            // No particle counts whose gap is above the reach at its largest speed, now or later.
+            double limit = no_gap<double>;
+            if constexpr (shape.value == Shape::mesh) {
+                double speed = bound_block(posed, properties, block).speed;
+                for (int k = 0; k < 2; ++k) {
+                    PosedObstacle<double> later = posed;
+                    later.velocity = future[2 * obstacle + k].velocity;
+                    later.spin = future[2 * obstacle + k].spin;
+                    speed = larger(bound_block(later, properties, block).speed, speed);
+                }
+                limit = reach_distance(speed);
+            }
             V largest{};
             std::int64_t n_visited = 0;
             for (std::ptrdiff_t j = 0; j < block.count; j += lanes<double>) {
                 const V mass = load(block.mass + j);
                 const auto s = contact_kinematics<shape.value, true, V>(posed, properties.size, block.position<V>(j),
-                                                                        block.velocity<V>(j));
+                                                                        block.velocity<V>(j), limit);
                 V speed = s.closing;
                 for (int k = 0; k < 2; ++k)
                     speed = larger(s.closing + dot(speed_change[k] + cross(spin[k], s.arm), s.normal), speed);

@@ -41,6 +41,8 @@ public:
             for (std::int64_t i = 0; i < plan.count; ++i) slots_.push_back(slot_of(i));
             for_each_anchor([&](T& anchor, std::size_t from) { anchor = static_cast<T>(contacts_.anchors[from]); });
         }
+        for (const Obstacle& obstacle : contacts_.obstacles)
+            if (obstacle.mesh) hints_.resize(blocks * contacts_.count() * pitch);
         if (run.record_obstacles) sums_.assign(blocks * contacts_.count() * record_numbers * n_partials, T(0));
         if (!contacts_.reduced.any()) return;
         if (run.record_obstacles) growth_powers_.assign(blocks * n_partials, T(0));
@@ -70,6 +72,15 @@ public:
             if (step < skip.until) continue;
             JawLoad jaw_load;
             const PosedObstacle<T> posed = posed_at(state, thread, obstacle, step);
+            T limit = no_gap<T>;
+            Index* hints = nullptr;
+            if (posed.mesh) {
+                hints = hints_.data() + (index * contacts_.count() + obstacle) * pitch_;
+                const ScanResult<T> bound = bound_block(posed, contacts_.obstacles[obstacle], block);
+                // One evaluation needs no approach.
+                limit = T(contacts_.thickness) + (run_.steps ? T(2.0 * run_.step) * bound.speed : T(0));
+                if (skip_far_mesh(skip, bound, limit, obstacle, step)) continue;
+            }
             T* const anchors = anchors_.empty() || !(contacts_.obstacles[obstacle].has_friction())
                                    ? nullptr
                                    : anchors_.data() + (index * contacts_.count() + obstacle) * anchor_numbers * pitch_;
@@ -85,10 +96,10 @@ public:
                 JawLoad* const load_of_jaw = is_jaw ? &jaw_load : nullptr;
                 if (posed.is_rotating())
                     add_obstacle<shape.value, true>(state, skip, posed, obstacle, step, block, f, sums, anchors,
-                                                    load_of_jaw, reduced);
+                                                    load_of_jaw, reduced, limit, hints);
                 else
                     add_obstacle<shape.value, false>(state, skip, posed, obstacle, step, block, f, sums, anchors,
-                                                     load_of_jaw, reduced);
+                                                     load_of_jaw, reduced, limit, hints);
             });
             if (is_jaw) jaws_.record_load(obstacle, index, step, jaw_load);
         }
@@ -248,16 +259,37 @@ private:
     T* sums_of(std::int64_t block, std::int64_t obstacle) {
         return sums_.data() + (block * contacts_.count() + obstacle) * record_numbers * n_partials;
     }
+    /// Skip a block whose bounds show that it is further from a mesh than a limit [m]; return whether it does.
+    bool skip_far_mesh(SkipState& skip, const ScanResult<T>& bound, T limit, std::int64_t obstacle,
+                       std::int64_t step) const {
+        if (skip.in_contact || !contacts_.may_skip_blocks || !run_.steps) return false;
+        if (!(bound.gap > limit) || (skip.speed > T(0) && bound.speed > T(2) * skip.speed)) return false;
+        skip_steps(skip, bound, obstacle, step);
+        return true;
+    }
+    /// Skip a block for as many steps as it needs to get near.
+    void skip_steps(SkipState& skip, const ScanResult<T>& result, std::int64_t obstacle, std::int64_t step) const {
+        // The result includes the present speed of the obstacle only; it may be faster before the next scan.
+        const T speed = result.speed + T(2) * max_surface_speeds_[obstacle] + T(speed_margin),
+                free_path = T(skip_fraction) * (result.gap - T(contacts_.thickness));
+        const double steps = static_cast<double>(free_path) / (static_cast<double>(speed) * run_.step);
+        const std::int64_t n_left = run_.steps - 1 - step;
+        const bool before_end = steps < static_cast<double>(n_left);
+        skip.until = step + std::max<std::int64_t>(1, before_end ? static_cast<std::int64_t>(steps) : n_left);
+        skip.speed = speed;
+    }
+    /// Add the contact of a block with one obstacle. Gaps of a mesh above `limit` [m] may be lower bounds.
     template <Shape S, bool Rotating>
     void add_obstacle(ThreadState& state, SkipState& skip, const PosedObstacle<T>& posed, std::int64_t obstacle,
                       std::int64_t step, const Block<T>& block, T* f, T* sums, T* anchors, JawLoad* jaw_load,
-                      const Reduced& reduced) {
+                      const Reduced& reduced, T limit, Index* hints) {
         const Vec3<double>& dimensions = contacts_.obstacles[obstacle].size;
         const Vec3<T> size{T(dimensions.x), T(dimensions.y), T(dimensions.z)};
         const T thickness = T(contacts_.thickness), lookahead = T(2.0 * run_.step);
         Encounter& encounter = jaw_load ? state.jaws : state.obstacles;
         const auto scan = [&] {
-            const BlockScan<T> finding = scan_block<S, Rotating, T>(posed, size, block, thickness, lookahead);
+            const BlockScan<T> finding =
+                scan_block<S, Rotating, T>(posed, size, block, thickness, lookahead, limit, hints);
             encounter.include(finding);
             return finding.result();
         };
@@ -271,23 +303,17 @@ private:
             if (anchors)
                 skip.in_contact =
                     add_contact_forces<S, Rotating, true>(encounter, posed, size, block, block_scan, f, sums, anchors,
-                                                          obstacle, step >= 0, jaw_load, reduced);
+                                                          obstacle, step >= 0, jaw_load, reduced, limit, hints);
             else
-                skip.in_contact = add_contact_forces<S, Rotating, false>(
-                    encounter, posed, size, block, block_scan, f, sums, anchors, obstacle, false, jaw_load, reduced);
+                skip.in_contact =
+                    add_contact_forces<S, Rotating, false>(encounter, posed, size, block, block_scan, f, sums, anchors,
+                                                           obstacle, false, jaw_load, reduced, limit, hints);
             if (!must_scan && !skip.in_contact) result = scan();
         }
         state.violated = state.violated || (skip.speed > T(0) && result.speed > T(2) * skip.speed);
         skip.speed = T(0);
         if (skip.in_contact || !contacts_.may_skip_blocks || !run_.steps) return;
-        // The scan includes the present speed of the obstacle only; it may be faster before the next scan.
-        const T speed = result.speed + T(2) * max_surface_speeds_[obstacle] + T(speed_margin),
-                free_path = T(skip_fraction) * (result.gap - thickness);
-        const double steps = static_cast<double>(free_path) / (static_cast<double>(speed) * run_.step);
-        const std::int64_t n_left = run_.steps - 1 - step;
-        const bool before_end = steps < static_cast<double>(n_left);
-        skip.until = step + std::max<std::int64_t>(1, before_end ? static_cast<std::int64_t>(steps) : n_left);
-        skip.speed = speed;
+        skip_steps(skip, result, obstacle, step);
     }
     /// Add the contact forces on a block of particles; return whether any is in contact. `anchors` of the obstacle move
     /// if `move_anchors`.
@@ -295,7 +321,7 @@ private:
     bool add_contact_forces(Encounter& encounter, const PosedObstacle<T>& posed, const Vec3<T>& size,
                             const Block<T>& block, BlockScan<T> scan, T* f, T* sums, [[maybe_unused]] T* anchors,
                             [[maybe_unused]] std::int64_t obstacle, [[maybe_unused]] bool move_anchors,
-                            JawLoad* jaw_load, const Reduced& reduced) {
+                            JawLoad* jaw_load, const Reduced& reduced, T limit, Index* hints) {
         const FrictionLaw<V> friction(contacts_.obstacles[obstacle].friction, contacts_.frequency);
         const V thickness = splat<V>(T(contacts_.thickness)), inverse_speed = splat<V>(T(1.0 / ContactLaw<T>::speed));
         [[maybe_unused]] const V half = splat<V>(T(0.5 * run_.step));
@@ -304,8 +330,9 @@ private:
         alignas(64) T opening_force[n_partials] = {}, contact_mass[n_partials] = {};
         for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>) {
             const V mass = load(block.mass + j);
-            ContactKinematics<V> s = contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j),
-                                                                        block.template velocity<V>(j));
+            ContactKinematics<V> s =
+                contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j),
+                                                   block.template velocity<V>(j), limit, hints ? hints + j : nullptr);
             V closing = s.closing, growth_power{};
             Scaling<V> scaling = full_thickness<V>();
             const V gap = s.gap;
@@ -417,6 +444,7 @@ private:
     std::vector<ThreadState> threads_;
     Array<T> sums_, anchors_, pushes_;          ///< the pushes of the last step's friction
     Array<T> reduced_, rates_, growth_powers_;  ///< thickness of each contact, its rate, growth power by block
+    std::vector<Index> hints_;                  ///< of meshes: a near triangle of each particle
     std::vector<std::int64_t> slots_;           ///< slot of each particle in the blocks
 };
 

@@ -203,10 +203,17 @@ struct ContactKinematics {
     Vec3<V> normal, slip;
     V closing;
 };
-/// Rotating: whether the obstacle may rotate. Without rotation the term is left out, which changes no bit.
+/// Gap of a particle that does not count (anchored or padding): larger than any real gap.
+template <class T>
+inline constexpr T no_gap = T(1e30);
+
+/// Rotating: whether the obstacle may rotate. Without rotation the term is left out, which changes no bit. `limit` [m]:
+/// gap of a mesh above which a lower bound of it suffices, and `hints`, see `nearest_on_mesh`.
 template <Shape S, bool Rotating, class V>
 CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<V>>& posed, const Vec3<scalar<V>>& size,
-                                                     Vec3<V> x, Vec3<V> v) {
+                                                     Vec3<V> x, Vec3<V> v,
+                                                     [[maybe_unused]] double limit = no_gap<double>,
+                                                     [[maybe_unused]] Index* hints = nullptr) {
     const Vec3<V> c = splat3<V>(posed.rotation[2]);
     ContactKinematics<V> s;
     s.arm = x - splat3<V>(posed.position);
@@ -222,7 +229,7 @@ CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<
         const Vec3<V> local{dot(a, s.arm), dot(b, s.arm), dot(c, s.arm)};
         const SurfacePoint<V> n = [&]() CLOTH_INLINED {
             if constexpr (S == Shape::mesh)
-                return nearest_on_mesh<V>(*posed.mesh, local);
+                return nearest_on_mesh<V>(*posed.mesh, local, limit, hints);
             else
                 return nearest_on<S, V>(local, splat3<V>(size));
         }();
@@ -267,10 +274,6 @@ template <class T>
 struct ScanResult {
     T gap, speed, approach_speed;
 };
-/// Gap of a particle that does not count (anchored or padding): larger than any real gap.
-template <class T>
-inline constexpr T no_gap = T(1e30);
-
 /// Collects a `ScanResult` from vectors of particles. A particle is about to touch if its gap falls below
 /// `contact_distance` [m] within `lookahead` [s] at its present speed.
 template <class T>
@@ -310,16 +313,49 @@ private:
     V contact_distance_, negative_lookahead_, min_gap_ = splat<V>(no_gap<T>), max_speed2_{}, approach_speed_{};
 };
 
+/// Scan a block. Gaps of a mesh above `limit` [m] may be lower bounds; `hints`: a triangle for each particle.
 template <Shape S, bool Rotating, class T>
 inline BlockScan<T> scan_block(const PosedObstacle<T>& posed, const Vec3<T>& size, const Block<T>& block,
-                               T contact_distance, T lookahead) {
+                               T contact_distance, T lookahead, double limit = no_gap<double>, Index* hints = nullptr) {
     using V = vec<T>;
     BlockScan<T> scan(contact_distance, lookahead);
     for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>)
-        scan.include(contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j),
-                                                        block.template velocity<V>(j)),
-                     load(block.mass + j));
+        scan.include(
+            contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j),
+                                               block.template velocity<V>(j), limit, hints ? hints + j : nullptr),
+            load(block.mass + j));
     return scan;
+}
+
+/// Bounds of a block without a search of the obstacle's surface: a lower one of the gap, from the block's box and the
+/// ball about the obstacle, and an upper one of the relative speed. Not for planes.
+template <class T>
+inline ScanResult<T> bound_block(const PosedObstacle<T>& posed, const Obstacle& obstacle, const Block<T>& block) {
+    T square = T(0), low[3], high[3];
+    for (int c = 0; c < 3; ++c) low[c] = high[c] = block.x[c * block.pitch];
+    for (std::int64_t i = 0; i < block.count; ++i) {
+        T speed2 = T(0);
+        for (int c = 0; c < 3; ++c) {
+            const T x = block.x[c * block.pitch + i], v = block.v[c * block.pitch + i];
+            low[c] = smaller(x, low[c]);
+            high[c] = larger(x, high[c]);
+            speed2 += v * v;
+        }
+        square = larger(speed2, square);
+    }
+    const T position[3] = {posed.position.x, posed.position.y, posed.position.z};
+    T nearest = T(0), furthest = T(0), size = T(0);
+    for (int c = 0; c < 3; ++c) {
+        const T below = low[c] - position[c], above = position[c] - high[c];
+        const T out = larger(larger(below, above), T(0)), far = larger(absolute(below), absolute(above));
+        nearest += out * out;
+        furthest += far * far;
+        size += far + absolute(position[c]);
+    }
+    // Rounding, in single precision too.
+    const T margin = T(1e-5) * size;
+    const T speed = root(square) + root(norm2(posed.velocity)) + root(norm2(posed.spin)) * root(furthest);
+    return {root(nearest) - T(obstacle.radius) - margin, T(1.001) * speed, T(0)};
 }
 
 /// Squared frequency [1/s^2] and damping rate [1/s].

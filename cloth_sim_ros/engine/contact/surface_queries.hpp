@@ -93,9 +93,10 @@ inline void for_each_feature_contact(Plan& plan, const SurfaceState& state, F&& 
     const QueryNumbers<V> cloth(plan, state.x, state.dx), cloth_velocity(plan, state.v, state.dv);
     SurfaceLaw<V> law(contacts.thickness, contacts.damping, model.mass);
     Contact<V> m;
+    const BoundingBall ball(state.x, plan.count);
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         FeatureVerletList& neighbors = model.neighbors()[k];
-        if (!model.has(contacts, k)) continue;
+        if (!model.has(contacts, k) || ball.is_away(contacts, k, state.t, contacts.thickness)) continue;
         const Pose pose = contacts.obstacle_pose(k, state.t);
         const FeaturesAt from{model.obstacles[k], pose, pose.position - pose_at(contacts.path(k), state.t).position};
         if (!neighbors.find(model.surface, cloth.quads(), from, law.thickness(false), 0.0)) continue;
@@ -387,6 +388,9 @@ ContactBounds predict_feature_contact(Plan& plan, double t, double duration, dou
     const Quads at{positions.data()}, velocity{velocities.data()};
     FeatureStiffnessBound bound(contact.mass);
     Contact<double> m;
+    const BoundingBall cloth(x, plan.count);
+    MotionBound cloth_motion;
+    cloth_motion.include(velocities.data(), nullptr, plan.count);
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         FeatureVerletList& neighbors = contact.neighbors()[k];
         if (!contact.has(contacts, k)) continue;
@@ -394,12 +398,17 @@ ContactBounds predict_feature_contact(Plan& plan, double t, double duration, dou
         const FeaturesAt from{contact.obstacles[k], pose};
         bound.set_obstacle(contacts, k);
         law.set_obstacle(from.features.radius, contacts.feature_scaling(k, plan.count, t));
-        MotionBound motion;
-        motion.include(velocities.data(), nullptr, plan.count);
+        MotionBound motion = cloth_motion;
         motion.include(pose.velocity);
         const double speed = motion.diameter() + root(norm2(pose.spin)) * from.features.reach;
         // The next call sees pairs further away.
         const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
+        const double distance =
+            root(norm2(cloth.center - pose.position)) - cloth.radius - from.features.reach - from.features.radius;
+        if (cloth.finite && distance > law.thickness(false) + margin) {
+            neighbors.clear();
+            continue;
+        }
         if (!neighbors.find(contact.surface, positions.data(), from, law.thickness(false), margin))
             return {infinite, infinite};
         for_each_feature_contact<double>(

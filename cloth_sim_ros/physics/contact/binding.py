@@ -116,7 +116,7 @@ class ContactBinding(Uncopyable):
         """
         if memory is MISSING_MEMORY:
             raise ValueError("contact depends on the memory of the state; pass State.memory, or {} for an empty one")
-        force, (controlled_paths, commands, recovery, setpoints) = self.force, self.force.controls
+        force, (controlled_paths, commands, recovery, setpoints, _) = self.force, self.force.controls
         if controlled_paths is not self._paths:
             paths = np.array(controlled_paths, dtype=np.float64)
             if paths.shape != (self.count, PATH_NUMBERS):

@@ -132,6 +132,8 @@ class ContactControls(NamedTuple):
     #: (pinches, 3). A half opening below 0 stands for none, and 0 for the drive's own force and speed. None without a
     #: command.
     jaw_setpoints: Array | None = None
+    #: True for each obstacle that cannot touch the cloth in the frame, shape (obstacles,); None if that is not known.
+    is_away: NDArray[np.bool_] | None = None
 
 
 class Controls(NamedTuple):

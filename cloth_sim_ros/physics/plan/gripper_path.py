@@ -106,6 +106,14 @@ def to_body_frame(pose: Array, points: Array) -> Array:
     return np.stack([rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z for i in range(3)], axis=1)
 
 
+def body_points(poses: Array, points: Array) -> Array:
+    """Return the positions [m] of points (n, 3) that are fixed in bodies with poses (n, 7), shape (n, 3)."""
+    x, y, z = points.T[:, :, None]
+    rows = rotation_matrix(poses[:, 3:].T)
+    rotated: Array = rows[:, 0].T * x + rows[:, 1].T * y + rows[:, 2].T * z
+    return poses[:, :3] + rotated
+
+
 def _step_poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float]]]:
     """Return the poses of a path at the start t and the end t + h of a step [s].
 

@@ -74,7 +74,7 @@ def check(path: str, *, node: str) -> int:
         known = {entry.name for entry in Scene.declared_for(values)}
         scene_values = {name: value for name, value in values.items() if name in known}
         silence_mesh_log()
-        scene = Scene.from_parameters(scene_values, files=session_state(str(scene_values.get("initial_state", ""))))
+        scene = _scene(scene_values)
         node_refusals.refuse_scene(scene, node=node)
         simulation = Simulation(scene)
         check_feasibility(scene, simulation)
@@ -108,6 +108,28 @@ def check(path: str, *, node: str) -> int:
     for line in describe_step_limiters(limiters, scene.sheet):
         print(line)
     return 0
+
+
+def _scene(values: dict[str, Any]) -> Scene:
+    """Return the scene of parameters, with the links of a robot whose description is a file.
+
+    Raises:
+        ParameterError: for invalid parameters, or an invalid description.
+    """
+    files = session_state(str(values.get("initial_state", "")))
+    if values.get("robot.enabled") is not True:
+        return Scene.from_parameters(values, files=files)
+    if not values.get("robot.description_file"):
+        print(
+            "warning: the robot's description comes by a topic, so its links are not checked (robot.description_file)"
+        )
+        return Scene.from_parameters(values, files=files)
+    from cloth_sim_ros.scene.robot.links import scene_with_links
+
+    scene, links = scene_with_links(values, files=files)
+    for note in links.notes:
+        print(note)
+    return scene
 
 
 class _PrintLog:

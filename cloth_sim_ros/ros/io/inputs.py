@@ -23,6 +23,8 @@ from cloth_sim_ros.simulation.frame import Frame
 
 if TYPE_CHECKING:
     from cloth_sim_ros.ros.io.gripper_actions import GripperActions
+    from cloth_sim_ros.ros.io.robot_follower import RobotFollower
+    from cloth_sim_ros.ros.io.robot_start import RobotStart
     from cloth_sim_ros.ros.io.simulation_interfaces import SimulationInterfaces
 
 
@@ -35,18 +37,34 @@ class Inputs:
         failure: refuses requests while the node is failed; its lock is held during each change.
         recording: records the commands, and serves requests to record.
         log: receives refusals.
+        robot: the robot whose links are obstacles; None without one.
     """
 
     def __init__(
-        self, node: Node, timing: FrameTiming, failure: FailureGuard, recording: RecordingControl, log: ThrottledLog
+        self,
+        node: Node,
+        timing: FrameTiming,
+        failure: FailureGuard,
+        recording: RecordingControl,
+        log: ThrottledLog,
+        robot: RobotStart | None = None,
     ) -> None:
         simulation, queue = timing.stepper.simulation, timing.stepper.queue
         scene = simulation.scene
         self._node, self._simulation, self._queue = node, simulation, queue
-        self._frames = FrameTransformer(node, scene.frame_id)
+        # A robot's start has filled its buffer.
+        known_frames = None if robot is None else robot.frames
+        self._frames = FrameTransformer(node, scene.frame_id) if known_frames is None else known_frames
         sink, callback_lock = recording.session, failure.callback_lock
         self.commands = CommandSubscriptions(node, simulation, queue, self._frames, sink, log, callback_lock)
         self.tf_follower = TfFollower(simulation, self._frames, self.commands.last_target_time, log)
+        self._robot: RobotFollower | None = None
+        if robot is not None and robot.links is not None:
+            from cloth_sim_ros.ros.io.robot_follower import RobotFollower
+
+            self._robot = RobotFollower(
+                node, simulation, robot.links, robot.states, self._frames, self.commands, sink, log, callback_lock
+            )
         self.services = Services(node, timing, recording, failure)
         self.parameters = LiveParameters(node, scene, self._change_parameters, self._check_parameters, failure.lock)
 
@@ -57,8 +75,10 @@ class Inputs:
         self.interfaces: SimulationInterfaces | None = None
 
     def start(self) -> None:
-        """Subscribe to the commands of the grippers, and create the services and actions."""
+        """Subscribe to the commands of the grippers and to joint states, and create the services and actions."""
         self.commands.subscribe()
+        if self._robot is not None:
+            self._robot.subscribe()
         self.services.serve()
         if self._simulation.scene.has_actions:
             from cloth_sim_ros.ros.io.gripper_actions import GripperActions
@@ -71,11 +91,6 @@ class Inputs:
 
             self.interfaces = SimulationInterfaces(self._node, self.services)
             self.interfaces.serve()
-
-    def events(self, stamp: int) -> list[Event]:
-        """Return the events of followed frames and commanded velocities, for the frame due at a ROS time [ns]."""
-        twists = self.commands.twists
-        return [*self.tf_follower.events(stamp), *([] if twists is None else twists.events(stamp))]
 
     def answer(self, frame: Frame) -> None:
         """Answer the requests and goals whose grasps ended in a frame."""
@@ -101,6 +116,22 @@ class Inputs:
             if servers is not None:
                 servers.close()
 
+    def events(self, stamp: int, now: int) -> list[Event]:
+        """Return the events of a robot's links, of followed TF frames and of commanded velocities for a frame.
+
+        Args:
+            stamp: ROS time at which the frame is due [ns].
+            now: present ROS time, or the stamp if it is later [ns].
+        """
+        of_links = [] if self._robot is None else self._robot.events(now)
+        twists = self.commands.twists
+        return [*of_links, *self.tf_follower.events(stamp), *([] if twists is None else twists.events(stamp))]
+
+    def observe(self, frame: Frame) -> None:
+        """Observe a frame: the command of a robot's links may have to be repeated."""
+        if self._robot is not None:
+            self._robot.observe(frame)
+
     def return_parameters(self, reason: str) -> None:
         """Set the parameters back to those in force, because accepted ones could not take effect."""
         self._node.get_logger().error(f"parameters are set back: {reason}")
@@ -110,6 +141,8 @@ class Inputs:
         """Accept any stamp next and forget dynamic transforms, because the clock was set back."""
         self.commands.reset_stamps()
         self._frames.clear()
+        if self._robot is not None:
+            self._robot.restart_time()
 
     def _change_parameters(self, values: dict[str, Any]) -> None:
         # `_check_parameters` has made room for it.

@@ -18,7 +18,7 @@ from cloth_sim_ros.ros.io.messages import wrench_message
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, Output, RecordSink
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.bodies.bodies import solids_and_poses
-from cloth_sim_ros.simulation.events import Move, Reset, SetParameters, Target
+from cloth_sim_ros.simulation.events import Move, MoveObstacles, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
@@ -76,14 +76,15 @@ class ObstacleTopics:
             self._publish(stamp)
         if obstacles is None:
             return
-        for name in obstacles.lagging:
+        # A paused frame moves nothing.
+        for name in obstacles.lagging if frame.moved else ():
             self._log.warn(
                 f"behind {name}",
                 f"'{name}' lags behind its target: the speed of obstacles is limited to {obstacles.speed:g} m/s, "
                 "so that they do not pass through the cloth",
             )
-        for name, load in zip(obstacles.names, frame.obstacle_wrenches, strict=True):
-            output = self._wrenches[name]
+        for k in obstacles.unlinked_indices:
+            load, output = frame.obstacle_wrenches[k], self._wrenches[obstacles.names[k]]
             if output.has_consumers:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
 
@@ -129,6 +130,8 @@ class ObstacleTopics:
         """Update the stopped bodies: add those of the frame, drop those with a new command and removed ones."""
         commanded = {event.obstacle for event in frame.events if isinstance(event, Move)}
         commanded |= {event.gripper for event in frame.events if isinstance(event, Target)}
+        if self._stopped_names:
+            commanded.update(*(event.obstacles for event in frame.events if isinstance(event, MoveObstacles)))
         scene = self._simulation.scene
         known = {*scene.obstacle_names, *scene.gripper_names}
         if any(isinstance(event, Reset) for event in frame.events):
@@ -138,7 +141,7 @@ class ObstacleTopics:
     def update_topics(self, stamp: int) -> None:
         """Create and remove topics so that they match the present obstacles, and publish at a ROS time [ns]."""
         obstacles, scene = self._simulation.obstacles, self._simulation.scene
-        names = [] if obstacles is None else obstacles.names
+        names = [] if obstacles is None else [obstacles.names[k] for k in obstacles.unlinked_indices]
         solids, _ = self._solids()
         drawn = [solid.name for solid in solids]
         if not drawn and not self._drawn:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
@@ -140,8 +140,16 @@ class SceneNode(SimTimeNode):
         return result
 
 
-def declare(node: Node) -> Scene:
+#: Function of a scene's parameters and of contents of files that returns extended ones.
+Extension = Callable[[Mapping[str, Any], Mapping[str, bytes]], tuple[dict[str, Any], dict[str, bytes]]]
+
+
+def declare(node: Node, *, extend: Extension | None = None) -> Scene:
     """Declare all parameters of a scene on a node that has declared its overrides; return the scene.
+
+    Args:
+        node: the node.
+        extend: adds parameters that follow from others; None for none.
 
     Raises:
         ParameterError: if the values form no valid scene; the message names the parameters and the reasons.
@@ -154,8 +162,11 @@ def declare(node: Node) -> Scene:
     for name in values:
         node.undeclare_parameter(name)
     silence_mesh_log()
-    scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
-    known, defaults = Scene.declared_for(overrides), without_surface(values)
+    files = session_state(str(values.get("initial_state", "")))
+    if extend is not None:
+        values, files = extend(values, files)
+    scene = Scene.from_parameters(values, files=files)
+    known, defaults = Scene.declared_for(values), without_surface(values)
     for entry in known:
         declare_entry(node, entry, {entry.name: entry.default, **defaults, **values}[entry.name])
     _warn_of_unknown(node, scene, [entry.name for entry in known])

@@ -61,7 +61,7 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
     out = ["~/points", "~/topology", "~/mesh", "~/state", "~/clock", "/diagnostics", "/tf"]
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
-    out += [f"~/{name}/wrench" for name in scene.described]
+    out += [f"~/{name}/wrench" for name in scene.unlinked_names]
     out += ["~/frame", "~/snapshot"] if scene.record.topics else []
     out += ["~/keypoints"] if any(scene.keypoints) else []
     out += ["~/coverage"] if scene.coverage.obstacle else []
@@ -69,7 +69,8 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
     into = [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("target", "point", "grasp")]
     into += [f"~/{name}/twist" for name in scene.gripper_names if scene.gripper.twist_max_speed]
     out += [f"~/{name}/ft_sensor_wrench" for name in scene.gripper_names if scene.gripper.sensor_frame]
-    into += [f"~/{name}/target" for name in scene.described]
+    into += [f"~/{name}/target" for name in scene.unlinked_names]
+    into += [scene.robot.joint_states_topic] if scene.robot.enabled else []
     return {PUBLISHER: out, SUBSCRIPTION: into}
 
 

@@ -44,6 +44,8 @@ class FrameTransformer:
         self._buffer: Any = None
         self._listener: Any = None
         self._transform_stamp = 0
+        #: Returns the pose and stamp of a robot's link by name, without tf2; None for other frames.
+        self.link_pose: Callable[[str], tuple[tuple[float, ...], tuple[float, ...], int] | None] = lambda _name: None
         #: True if tf2 could not be imported. A second import would cost time in each frame of a following gripper.
         self._is_tf2_missing = False
 
@@ -93,6 +95,8 @@ class FrameTransformer:
         Raises:
             FrameError: if no transform connects the frames.
         """
+        if (pose := self.link_pose(frame_id)) is not None:
+            return pose
         translation, rotation = self._lookup(frame_id, 0)
         return tuple(translation.tolist()), tuple(rotation.tolist()), self._transform_stamp
 
@@ -151,6 +155,9 @@ class TfFollower:
         self._last_stamps: dict[str, int] = {}
         #: ROS time of the last new transform of a followed frame [ns], by gripper or obstacle.
         self._last_motion: dict[str, int] = {}
+        #: Obstacles that follow a TF frame, and their frames, in the newest scene.
+        self._obstacle_frames: list[tuple[str, str]] = []
+        self._scene: Scene | None = None
         #: ROS time of the last warning of a frame that can't be followed [ns], by gripper or obstacle.
         self._last_warnings: dict[str, int] = {}
 
@@ -158,8 +165,12 @@ class TfFollower:
         """Return the events for the simulation frame due at a ROS time [ns]."""
         scene = self._simulation.scene
         events: list[Event] = []
-        for name in scene.obstacle_names:
-            events += self._follow_frame(Move, name, scene.described[name].frame, now)
+        if scene is not self._scene:
+            self._scene = scene
+            frames = [(name, scene.described[name].frame) for name in scene.obstacle_names]
+            self._obstacle_frames = [(name, frame) for name, frame in frames if frame]
+        for name, frame in self._obstacle_frames:
+            events += self._follow_frame(Move, name, frame, now)
         if not scene.gripper.timeout and not scene.gripper.frame and not scene.individual:
             return events
         for index, name in enumerate(scene.gripper_names):

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.controls import ContactControls, Controls, GripControls, ThicknessRecovery
@@ -132,8 +133,11 @@ def plan_controls(
         grips, change = grippers.plan_frame(present, plan.model, t, period, stiffness, damping, speeds)
     if plan.contact is None:
         return Controls(grips), change
-    rows, obstacle_change = (None, 0.0) if obstacles is None else obstacles.plan_frame(t, period)
-    contact = _contact_controls(plan.contact.force, rows, pinching, None if grips is None else grips.paths, t)
+    thickness = plan.contact.force.thickness
+    rows, obstacle_change, is_away = (
+        (None, 0.0, None) if obstacles is None else obstacles.plan_frame(t, period, thickness)
+    )
+    contact = _contact_controls(plan.contact.force, rows, pinching, None if grips is None else grips.paths, t, is_away)
     if joints is not None and grips is not None and rows is not None:
         grips = joints.extend(grips, rows)
     return Controls(grips, contact), max(change, obstacle_change)
@@ -151,7 +155,12 @@ def standing_controls(
 
 
 def _contact_controls(
-    force: Contact, rows: Array | None, pinching: ParallelGrippers | None, gripper_paths: Array | None, t: float
+    force: Contact,
+    rows: Array | None,
+    pinching: ParallelGrippers | None,
+    gripper_paths: Array | None,
+    t: float,
+    is_away: NDArray[np.bool_] | None = None,
 ) -> ContactControls:
     """Return controls of contact without recovery, from the paths of obstacles and of grippers."""
     if rows is None and pinching is None:
@@ -160,7 +169,7 @@ def _contact_controls(
     if pinching is not None and gripper_paths is not None:
         paths.append(pinching.rows(gripper_paths))
         commands, setpoints = pinching.drive_flags(), pinching.setpoints
-    return ContactControls(np.concatenate(paths), commands, ThicknessRecovery(t), setpoints)
+    return ContactControls(np.concatenate(paths), commands, ThicknessRecovery(t), setpoints, is_away)
 
 
 def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, duration: float) -> list[int]:

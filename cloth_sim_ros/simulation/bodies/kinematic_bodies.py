@@ -113,6 +113,14 @@ class KinematicBodies:
         pose: Array = target[index]
         return pose
 
+    def set_targets(self, indices: Sequence[int], poses: Array) -> None:
+        """Store target poses (count, 7) of several bodies: position [m] and quaternion x, y, z, w."""
+        x, y, z, w = poses[:, 3:].T
+        target = writable(self._state, self._names[3])
+        target[indices, :3] = poses[:, :3]
+        # As `unit_quaternion` computes it.
+        target[indices, 3:] = poses[:, 3:] / np.sqrt(x * x + y * y + z * z + w * w)[:, None]
+
     def hold_position(self, indices: Sequence[int]) -> list[int]:
         """Hold the present poses of some bodies until their next targets; return the indices of those that moved."""
         is_moving = (self.array("pose") != self.array("target")).any(axis=1) | self.array("twist").any(axis=1)

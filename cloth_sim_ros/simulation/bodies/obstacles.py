@@ -12,6 +12,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -24,10 +25,12 @@ from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
     clamp_motion,
     constant_paths,
 )
-from cloth_sim_ros.simulation.events import Move
+from cloth_sim_ros.simulation.events import Move, MoveObstacles
 
 #: Largest lever arm of rotation for the speed limit [m]; it applies to larger obstacles and planes.
 _MAX_LEVER_ARM = 1.0
+#: Fraction of the speed limit up to which the bound of a motion needs no exact travel.
+_BOUND_MARGIN = 0.999
 _KIND = "obstacle"
 
 
@@ -48,6 +51,13 @@ class Obstacles:
     ) -> None:
         self.solids = solids
         self.names = [solid.name for solid in solids]
+        self._indices = {name: k for k, name in enumerate(self.names)}
+        #: Lever arm of each obstacle's rotation for the speed limit [m].
+        self._lever_arms = np.array([min(solid.bounding_radius, _MAX_LEVER_ARM) for solid in solids])
+        #: True for each obstacle that is a link of a robot, and indices of the others.
+        self._is_link = np.array([bool(descriptions[name].link) for name in self.names])
+        self.unlinked_indices = np.flatnonzero(~self._is_link).tolist()
+        self._radii = np.array([solid.bounding_radius for solid in solids])
         self._state = state
         self._bodies = KinematicBodies(_KIND, np.array([_start_pose(descriptions[name]) for name in self.names]), state)
 
@@ -64,29 +74,40 @@ class Obstacles:
     def lagging(self) -> list[str]:
         """Names of the obstacles that have not reached their target yet."""
         is_away = (self._bodies.array("pose") != self._bodies.array("target")).any(axis=1)
-        return [name for name, is_lagging in zip(self.names, is_away.tolist(), strict=True) if is_lagging]
+        return [self.names[k] for k in np.flatnonzero(is_away).tolist()]
 
     def set_target(self, event: Move) -> None:
         """Store a target."""
         self._bodies.set_target(self.names.index(event.obstacle), event.position, event.orientation)
 
+    def set_targets(self, event: MoveObstacles) -> None:
+        """Store the targets of several obstacles."""
+        self._bodies.set_targets([self._indices[name] for name in event.obstacles], event.poses)
+
     def hold_position(self) -> list[str]:
         """Hold the present poses until the next targets; return the names of the obstacles that moved."""
         return [self.names[k] for k in self._bodies.hold_position(range(len(self.names)))]
 
-    def plan_frame(self, t: float, duration: float) -> tuple[Array, float]:
-        """Return the paths over a frame that starts at time t [s], and the largest change of displacement.
+    def plan_frame(self, t: float, duration: float, thickness: float) -> tuple[Array, float, NDArray[np.bool_] | None]:
+        """Return the paths over a frame that starts at time t [s].
 
         Args:
             t: time at which the frame starts [s].
             duration: length of the frame [s].
+            thickness: of contact [m].
 
         Returns:
-            Paths, shape (count, PATH_NUMBERS), and the largest change of an obstacle's displacement from the frame
-            before, along an axis [m].
+            Paths, shape (count, PATH_NUMBERS). The largest change of an obstacle's displacement from the frame before,
+            along an axis [m]. True for each link of a robot that cannot touch the cloth in the frame, shape (count,);
+            None without links.
         """
-        paths, changes = self._bodies.paths(t, duration, functools.partial(self._end_pose, duration))
-        return paths, max(changes)
+        end_pose = functools.partial(self._end_pose, duration) if self._may_be_too_fast(duration) else None
+        paths, changes = self._bodies.paths(t, duration, end_pose)
+        if not self._is_link.any():
+            return paths, max(changes), None
+        is_away = self._is_link & self._are_away(paths, duration, 2.0 * thickness)
+        near_changes = [change for change, away in zip(changes, is_away.tolist(), strict=True) if not away]
+        return paths, max(near_changes, default=0.0), is_away
 
     def standing(self, t: float) -> Array:
         """Return the paths of obstacles at rest at their poses from time t [s] on, shape (count, PATH_NUMBERS)."""
@@ -118,10 +139,45 @@ class Obstacles:
                     f"{-gap[particle]:.4g} m deep; move one of them"
                 )
 
+    def _are_away(self, paths: Array, duration: float, distance: float) -> NDArray[np.bool_]:
+        """Return for each obstacle whether it stays further than a distance [m] from the box about the present cloth.
+
+        An obstacle moves no further than its path is long.
+        """
+        x = self._state.x
+        starts = paths[:, 1:4]
+        outside = np.maximum(np.maximum(x.min(axis=1) - starts, starts - x.max(axis=1)), 0.0)
+        lengths = np.zeros(len(paths))
+        for order in (1, 2, 3):
+            lengths += duration**order * np.sqrt(_squares(paths[:, 1 + 3 * order : 4 + 3 * order]))
+        is_away: NDArray[np.bool_] = np.sqrt(_squares(outside)) > self._radii + lengths + distance
+        return is_away
+
+    def _may_be_too_fast(self, duration: float) -> bool:
+        """Return False if a bound shows that every obstacle reaches its target within the speed limit.
+
+        Let c be the chord between two unit quaternions of one hemisphere. The angle of their rotation is 4 asin(c / 2).
+        Therefore it is at most pi c.
+        """
+        poses, targets = self._bodies.array("pose"), self._bodies.array("target")
+        if poses is targets:
+            return False
+        offsets, sums = targets - poses, targets[:, 3:] + poses[:, 3:]
+        chords = np.sqrt(np.minimum(_squares(offsets[:, 3:]), _squares(sums)))
+        bound = np.sqrt(_squares(offsets[:, :3])) + self._lever_arms * math.pi * chords
+        return not bool((bound <= _BOUND_MARGIN * MAX_BODY_SPEED * duration).all())
+
     def _end_pose(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
         """Return an obstacle's pose at a frame's end: its target, or as close to it as the speed limit permits."""
-        lever_arm = min(self.solids[k].bounding_radius, _MAX_LEVER_ARM)
-        return clamp_motion(pose, target, lever_arm, MAX_BODY_SPEED * duration)
+        return clamp_motion(pose, target, float(self._lever_arms[k]), MAX_BODY_SPEED * duration)
+
+
+def _squares(vectors: Array) -> Array:
+    """Return the squared lengths of vectors (n, k), shape (n,)."""
+    total: Array = vectors[:, 0] * vectors[:, 0]
+    for k in range(1, vectors.shape[1]):
+        total = total + vectors[:, k] * vectors[:, k]
+    return total
 
 
 def replace_obstacles(

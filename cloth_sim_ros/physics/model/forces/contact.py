@@ -188,7 +188,9 @@ class Contact(EngineForce):
         return (ContactPart(contact=self),)
 
     def steady(self) -> bool:
-        """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
-        paths, recovery = self.controls.paths, self.controls.recovery
+        """Return true if no obstacle moves or turns over its path near the cloth, and no thickness recovers."""
+        paths, recovery, is_away = self.controls.paths, self.controls.recovery, self.controls.is_away
+        if is_away is not None and is_away.any():
+            paths = np.concatenate([paths[: len(is_away)][~is_away], paths[len(is_away) :]])
         moves = bool(self.obstacles) and (paths[:, 4:13].any() or paths[:, 17:26].any())
         return recovery.target is None and not moves

@@ -1,0 +1,99 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Positions of a robot's joints from joint states of one or several publishers, without a ROS graph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.ros.io.stamps import StampGate
+
+#: Largest number of states that wait for their frame, and of publishers with different joints.
+_MAX_WAITING, _MAX_PUBLISHERS = 4096, 256
+
+
+class JointStates:
+    """Newest positions of joints.
+
+    States of one list of names are ordered by stamp, as commands of one gripper. States of other names are another
+    publisher's.
+
+    Args:
+        names: names of the joints; joints of other names are ignored.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.names = tuple(names)
+        #: Positions [rad or m]; 0 for joints of unknown position.
+        self.positions: NDArray[np.float64] = np.zeros(len(self.names))
+        #: True for each joint whose position is known.
+        self.is_known: NDArray[np.bool_] = np.zeros(len(self.names), dtype=bool)
+        #: Stamp of the newest state in force [ns].
+        self.stamp = 0
+        self._indices = {name: k for k, name in enumerate(self.names)}
+        #: For each list of names: indices in a message, indices of joints, and the gate of its stamps.
+        self._publishers: dict[tuple[str, ...], tuple[NDArray[np.int64], NDArray[np.int64], StampGate]] = {}
+        self._waiting: list[tuple[int, NDArray[np.int64], NDArray[np.float64]]] = []
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of the joints whose position is unknown."""
+        return [name for name, known in zip(self.names, self.is_known.tolist(), strict=True) if not known]
+
+    def add(self, names: Sequence[str], positions: Sequence[float], stamp: int, now: int) -> bool:
+        """Store a state until its frame. Return False for one that names none of the joints.
+
+        Args:
+            names: names of joints.
+            positions: their positions [rad or m].
+            stamp: stamp of the state [ns]; zero means now.
+            now: present ROS time [ns].
+
+        Raises:
+            StampError: for a stamp that is refused.
+            ValueError: for another number of positions than of names, and for positions that are not finite.
+        """
+        key = tuple(names)
+        if key not in self._publishers:
+            if len(self._publishers) >= _MAX_PUBLISHERS:
+                self._publishers.clear()
+            matches = [(k, self._indices[name]) for k, name in enumerate(key) if name in self._indices]
+            of_message, of_joints = (np.array([pair[k] for pair in matches], dtype=np.int64) for k in (0, 1))
+            self._publishers[key] = of_message, of_joints, StampGate()
+        of_message, of_joints, gate = self._publishers[key]
+        if not len(of_message):
+            return False
+        if len(positions) != len(key):
+            raise ValueError(f"it names {len(key)} joints and gives {len(positions)} positions; give one for each name")
+        values = np.asarray(positions, dtype=np.float64)[of_message]
+        if not np.isfinite(values).all():
+            k = int(np.argmin(np.isfinite(values)))
+            raise ValueError(f"the position of joint '{key[of_message[k]]}' is {values[k]}; it must be finite")
+        self._waiting.append((gate.accept(stamp, now), of_joints, values))
+        del self._waiting[:-_MAX_WAITING]
+        return True
+
+    def apply(self, now: int) -> bool:
+        """Apply the states that are due at a ROS time [ns], by stamp. Return True if a position changed."""
+        if not self._waiting:
+            return False
+        ready = sorted((state for state in self._waiting if state[0] <= now), key=lambda state: state[0])
+        if not ready:
+            return False
+        self._waiting = [state for state in self._waiting if state[0] > now]
+        before, known = self.positions.copy(), self.is_known.all()
+        for stamp, of_joints, values in ready:
+            self.positions[of_joints] = values
+            self.is_known[of_joints] = True
+            self.stamp = max(self.stamp, stamp)
+        return not known or not np.array_equal(before, self.positions)
+
+    def restart_time(self) -> None:
+        """Accept any stamp next, because the clock was set back."""
+        self._waiting.clear()
+        self.stamp = 0
+        for _, _, gate in self._publishers.values():
+            gate.reset()

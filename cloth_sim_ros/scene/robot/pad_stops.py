@@ -1,0 +1,101 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Stops of a robot's fingers: pads keep room for a layer of cloth between them."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from cloth_sim_ros.physics.contact.obstacle_features import ObstacleFeatures, obstacle_features
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix, to_body_frame
+from cloth_sim_ros.scene.robot.links import RobotLinks
+from cloth_sim_ros.scene.scene import Scene
+
+#: Bisections of a step of the joints: they find the stop within 1 % of the step.
+_BISECTIONS = 7
+
+
+class PadStops:
+    """Stops the joints of fingers before their pads come closer than the contact thickness.
+
+    Two pads are a pair if different joints move them. Both sides of a cloth's layer then have half the thickness, and
+    its contact pushes back. Without stops a closed gripper would crush the layer, and all obstacles would stop.
+
+    Args:
+        scene: has the pads as obstacles, `robot.pads` and `contact.thickness`.
+        links: the links of its robot.
+    """
+
+    def __init__(self, scene: Scene, links: RobotLinks) -> None:
+        self._links, self._min_gap = links, scene.contact.thickness
+        solids = {solid.name: solid for solid in scene.solids}
+        pads = [k for k, link in enumerate(links.links) if link in scene.robot.pads and links.names[k] in solids]
+        self._solids = {k: solids[links.names[k]] for k in pads}
+        self._features = self._features_of_pads()
+        #: Pairs of pads, and the joints that move one relative to the other.
+        self._pairs: list[tuple[int, int, list[int]]] = []
+        bodies = {k: links.kinematics.placements[links.links[k]][0] for k in pads}
+        for a, b in combinations(pads, 2):
+            if bodies[a] == bodies[b]:
+                continue
+            chains = [links.kinematics.moving_joints(body) for body in sorted((bodies[a], bodies[b]))]
+            # Fingers that mimic one joint share all joints; that one is the last of them.
+            self._pairs.append((a, b, sorted(set(chains[0]) ^ set(chains[1])) or chains[1][:1]))
+        self._accepted: Array | None = None
+
+    def update(self, scene: Scene) -> None:
+        """Take the contact thickness of a changed scene."""
+        if scene.contact.thickness != self._min_gap:
+            self._min_gap = scene.contact.thickness
+            self._features = self._features_of_pads()
+
+    def stopped(self, positions: Array) -> Array:
+        """Return joint positions at which no pair of pads is closer than permitted, or closer than before.
+
+        Args:
+            positions: commanded positions of the robot's joints [rad or m].
+        """
+        if not self._pairs:
+            return positions
+        result = positions.copy()
+        for a, b, joints in self._pairs:
+            if self._gap(a, b, result) >= self._min_gap:
+                continue
+            if self._accepted is None:
+                break
+            open_positions = result.copy()
+            open_positions[joints] = self._accepted[joints]
+            low, high = 0.0, 1.0
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (low + high)
+                trial = open_positions + middle * (result - open_positions)
+                low, high = (middle, high) if self._gap(a, b, trial) >= self._min_gap else (low, middle)
+            result = open_positions + low * (result - open_positions)
+        self._accepted = result
+        return result
+
+    def _features_of_pads(self) -> dict[int, ObstacleFeatures]:
+        return {k: obstacle_features(solid, self._min_gap) for k, solid in self._solids.items()}
+
+    def _gap(self, a: int, b: int, positions: Array) -> float:
+        """Return the least distance of the points of one pad from the other [m]."""
+        poses = self._links.poses(positions)
+        solid_a, solid_b = self._solids[a], self._solids[b]
+        features_a, features_b = self._features[a], self._features[b]
+        offset = poses[a, :3] - poses[b, :3]
+        distance = float(np.sqrt(offset @ offset)) - solid_a.bounding_radius - solid_b.bounding_radius
+        if distance > self._min_gap:
+            return distance
+        return min(
+            _min_gap_of(solid_b, poses[b], features_a, poses[a]), _min_gap_of(solid_a, poses[a], features_b, poses[b])
+        )
+
+
+def _min_gap_of(solid: Obstacle, pose: Array, features: ObstacleFeatures, features_pose: Array) -> float:
+    """Return the least gap between an obstacle and the points of another one's features [m]."""
+    points = features.points @ rotation_matrix(features_pose[3:]).T + features_pose[:3]
+    return float(solid.distance(to_body_frame(pose, points.T))[0].min()) - features.radius

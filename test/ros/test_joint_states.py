@@ -1,0 +1,75 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Joint positions from joint states: order of stamps, several publishers, refusals."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from cloth_sim_ros.ros.io.joint_states import JointStates
+from cloth_sim_ros.ros.io.stamps import OldStampError, StampError
+
+SECOND = 1_000_000_000
+NOW = 100 * SECOND
+
+
+def test_states_of_two_publishers_are_combined() -> None:
+    states = JointStates(["a", "b", "finger"])
+    assert states.add(["b", "other", "a"], [2.0, 9.0, 1.0], 0, NOW)
+    assert states.apply(NOW)
+    assert states.missing == ["finger"]
+    assert states.add(["finger"], [0.1], NOW - 5, NOW)
+    assert states.apply(NOW)
+    assert states.positions.tolist() == [1.0, 2.0, 0.1]
+    assert states.missing == []
+    assert not states.apply(NOW)
+
+
+def test_newest_stamp_counts_and_future_ones_wait() -> None:
+    states = JointStates(["a"])
+    states.add(["a"], [1.0], NOW, NOW)
+    states.add(["a"], [3.0], NOW + 2, NOW)
+    states.apply(NOW + 1)
+    assert states.positions.tolist() == [1.0]
+    assert states.stamp == NOW
+    with pytest.raises(OldStampError, match="older than that of the newest"):
+        states.add(["a"], [2.0], NOW + 1, NOW)
+    assert states.apply(NOW + 2)
+    assert states.positions.tolist() == [3.0]
+    with pytest.raises(StampError, match="ahead"):
+        states.add(["a"], [4.0], NOW + 2 * SECOND, NOW)
+    states.restart_time()
+    assert states.add(["a"], [5.0], 7, 7)
+    assert states.apply(7)
+
+
+def test_state_without_a_known_joint_is_ignored() -> None:
+    states = JointStates(["a"])
+    assert not states.add(["wheel"], [math.nan], 0, NOW)
+    assert not states.apply(NOW)
+
+
+@pytest.mark.parametrize(
+    ("names", "positions", "reason"),
+    [
+        (["a", "b"], [1.0], "names 2 joints and gives 1 positions"),
+        (["a"], [math.nan], "position of joint 'a' is nan"),
+        (["a"], [math.inf], "position of joint 'a' is inf"),
+    ],
+)
+def test_invalid_state_is_refused(names: list[str], positions: list[float], reason: str) -> None:
+    states = JointStates(["a", "b"])
+    with pytest.raises(ValueError, match=reason):
+        states.add(names, positions, 0, NOW)
+    assert not states.apply(NOW)
+
+
+def test_flood_of_waiting_states_is_bounded() -> None:
+    states = JointStates(["a"])
+    for k in range(6000):
+        states.add(["a"], [float(k)], NOW + k, NOW)
+        states.add([f"x{k}", "a"], [0.0, float(k)], NOW, NOW)
+    assert states.apply(NOW + 6000)
+    assert states.positions.tolist() == [5999.0]
