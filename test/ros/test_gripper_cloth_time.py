@@ -214,9 +214,12 @@ def test_script_waits_for_a_paused_cloth(client: Client, start_process: Callable
     client.node.create_subscription(PoseStamped, "/cloth_sim/gripper/target", targets.append, QoSProfile(depth=100))
     node = start_process(["-m", "cloth_sim_ros.ros.main", "--ros-args", "-p", "cloth.resolution:=[6, 7]"])
     node.wait_for_output(STARTED)
-    # Match the service first: discovery may take longer than the script.
-    assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False)).success
+    # Match service and publisher first: discovery may take longer than the script.
+    assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=True)).success
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
+    topic = "/cloth_sim/gripper/target"
+    client.spin_until(lambda: client.node.count_publishers(topic), description="the gripper's publisher")
+    assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False)).success
     client.spin_until(lambda: len(targets) > 20, description="targets")
     assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=True)).success
     gripper.wait_for_output("stands at")

@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.arithmetic.deterministic_math import power
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import normalized, to_body_frame
@@ -149,7 +150,7 @@ class Obstacles:
         outside = np.maximum(np.maximum(x.min(axis=1) - starts, starts - x.max(axis=1)), 0.0)
         lengths = np.zeros(len(paths))
         for order in (1, 2, 3):
-            lengths += duration**order * np.sqrt(_squares(paths[:, 1 + 3 * order : 4 + 3 * order]))
+            lengths += power(duration, order) * np.sqrt(_squares(paths[:, 1 + 3 * order : 4 + 3 * order]))
         is_away: NDArray[np.bool_] = np.sqrt(_squares(outside)) > self._radii + lengths + distance
         return is_away
 
