@@ -285,3 +285,22 @@ def test_accurate_error_decides_where_an_approximate_one_fits() -> None:
     estimate.replace(2, 2e-9)
     assert not estimate.approximate
     assert estimate.sufficient_runs(1, 1e-9) == 1
+
+
+def test_no_accepted_error_is_approximate(monkeypatch: pytest.MonkeyPatch) -> None:
+    accept, changed = Controller.accept, []
+
+    def accept_measured(controller: Controller, *arguments: Any) -> float:
+        if controller.estimates_error:
+            # private: the estimate of the piece
+            assert controller.n_runs not in controller._estimate.approximate
+            changed.append(controller.n_runs)
+        return accept(controller, *arguments)
+
+    monkeypatch.setattr(Controller, "accept", accept_measured)
+    for tolerance in (1e-3, 1e-5, 1e-6):
+        values = {"cloth.resolution": [2, 2], "material.damping": 0.05, "tolerance": tolerance, "grippers": [""]}
+        simulation = Simulation(Scene.from_parameters({**values, "material.stretch_modulus": 20.0}))
+        for _ in range(60):
+            simulation.advance()
+    assert len(set(changed)) > 2
