@@ -152,7 +152,7 @@ def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.Mon
 
     from cloth_sim_ros import MoveObstacles
     from cloth_sim_ros.scene.parameters import parameter_file
-    from cloth_sim_ros.scene.robot.links import scene_with_links
+    from cloth_sim_ros.scene.robot.links import scene_with_links, without_links
     from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
@@ -160,7 +160,8 @@ def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.Mon
     import arm
 
     values = parameter_file.read(ROOT / "config" / "robot_arm.yaml", strict=True)
-    scene, links = scene_with_links(values, folder=ROOT / "config")
+    alone = Scene.from_parameters(without_links(values), folder=ROOT / "config")
+    scene, links = scene_with_links(alone, values, folder=ROOT / "config")
     assert not links.notes
     simulation, stops = Simulation(scene), PadStops(scene, links)
     # From where the open fingers are about the edge; the arm stands still before.

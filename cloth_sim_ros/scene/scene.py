@@ -289,9 +289,10 @@ class Scene:
         values = parameter_file.read(path, node=node, strict=True)
         cloth_values = {name: value for name, value in values.items() if not is_ros_parameter(name)}
         if cloth_values.get("robot.enabled") is True:
-            from cloth_sim_ros.scene.robot.links import scene_with_links
+            from cloth_sim_ros.scene.robot.links import scene_with_links, without_links
 
-            return scene_with_links(cloth_values, folder=Path(path).parent)[0]
+            scene = cls.from_parameters(without_links(cloth_values), folder=Path(path).parent)
+            return scene_with_links(scene, cloth_values, folder=Path(path).parent)[0]
         return cls.from_parameters(cloth_values, folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:

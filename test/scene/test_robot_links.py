@@ -13,7 +13,7 @@ import attrs
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.robots import ARM, chain, robot_scene
+from support.robots import ARM, chain, robot_scene, with_links
 
 from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.physics.contact.obstacle_mesh import mesh_distance
@@ -23,7 +23,6 @@ from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.robot.collision_meshes import find_file
 from cloth_sim_ros.scene.robot.description import parse
 from cloth_sim_ros.scene.robot.kinematics import Kinematics, poses_of
-from cloth_sim_ros.scene.robot.links import add_links
 from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
 AT: dict[str, Any] = {"robot.position": [0.8, 0.0, 0.5]}
@@ -182,7 +181,7 @@ def test_mesh_of_a_link_replaces_no_other_file(tmp_path: Path) -> None:
     (tmp_path / "mesh.obj").write_text(SOLID)
     desk = SOLID.replace("0.1", "0.7")
     values = {"obstacles": ["desk"], "desk.shape": "mesh", "desk.mesh": "body.obj", "robot.links": ["body"]}
-    extended, files, _ = add_links(values, with_mesh("mesh.obj"), folder=tmp_path, files={"body.obj": desk.encode()})
+    extended, files, _ = with_links(values, with_mesh("mesh.obj"), folder=tmp_path, files={"body.obj": desk.encode()})
     assert files["body.obj"] == desk.encode()
     assert extended["body.mesh"] != "body.obj"
     assert files[extended["body.mesh"]].count(b"v ") == 4
@@ -232,7 +231,7 @@ def test_recorded_scene_runs_without_description() -> None:
     )
     assert again == scene
     # A second call replaces the links of the first one.
-    values, _, second = add_links(scene.parameters(), ARM, files=scene.files)
+    values, _, second = with_links(scene.parameters(), ARM, files=scene.files)
     assert second.names == links.names
     assert values["obstacles"] == scene.obstacles
 
@@ -249,10 +248,10 @@ def test_scene_file_names_the_description(tmp_path: Path) -> None:
 def test_closed_mesh_is_kept_and_scaled(tmp_path: Path) -> None:
     (tmp_path / "body.obj").write_text(SOLID)
     values = {"robot.links": ["body"]}
-    _, files, links = add_links(values, with_mesh("body.obj", "1 -2 1"), folder=tmp_path)
+    _, files, links = with_links(values, with_mesh("body.obj", "1 -2 1"), folder=tmp_path)
     assert links.notes == ()
     scene = Scene.from_parameters(
-        add_links(values, with_mesh(f"file://{tmp_path}/body.obj", "1 -2 1"))[0] | {"cloth.position": [0.0, 0.0, 9.0]},
+        with_links(values, with_mesh(f"file://{tmp_path}/body.obj", "1 -2 1"))[0] | {"cloth.position": [0.0, 0.0, 9.0]},
         files=files,
     )
     solid = scene.solids[0]
@@ -264,13 +263,13 @@ def test_closed_mesh_is_kept_and_scaled(tmp_path: Path) -> None:
 
 def test_open_mesh_becomes_its_convex_hull_and_says_so(tmp_path: Path) -> None:
     (tmp_path / "body.obj").write_text(OPEN)
-    _, files, links = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)
+    _, files, links = with_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)
     assert links.notes == ("link 'body': mesh 'body.obj' is not closed: its convex hull stands for it",)
     assert files["body.obj"].count(b"f ") == 4
     # Two pieces stay two obstacles.
     second = OPEN.replace("v 0", "v 5").replace("f 1 3 2\nf 1 2 4\nf 1 4 3\n", "f 5 7 6\nf 5 6 8\nf 5 8 7\n")
     (tmp_path / "body.obj").write_text(OPEN + second)
-    two = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)[2]
+    two = with_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)[2]
     assert two.names == ("body_0", "body_1")
     assert "the convex hulls of its 2 pieces stand" in two.notes[0].replace("stands", "stand")
 
@@ -292,7 +291,7 @@ def test_fine_mesh_becomes_a_hull_of_few_vertices(tmp_path: Path) -> None:
         f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces
     ]
     (tmp_path / "body.obj").write_text("\n".join(lines))
-    values, files, links = add_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)
+    values, files, links = with_links({"robot.links": ["body"]}, with_mesh("body.obj"), folder=tmp_path)
     assert re.fullmatch(
         r"link 'body': mesh 'body.obj' has 800 triangles: its convex hull stands for it, and the mesh protrudes by up "
         r"to \d(\.\d)? mm",
@@ -323,7 +322,7 @@ def test_mesh_that_cannot_be_used_is_refused(
     (tmp_path / "flat.obj").write_text(FLAT)
     (tmp_path / "body.dae").write_text("<COLLADA/>")
     with pytest.raises(ParameterError, match=reason):
-        add_links({"robot.links": ["body"]}, with_mesh(uri), folder=tmp_path)
+        with_links({"robot.links": ["body"]}, with_mesh(uri), folder=tmp_path)
 
 
 def test_package_of_a_mesh_is_found_by_the_prefix_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.scene.robot.links import RobotLinks, add_links
+from cloth_sim_ros.scene.robot.links import RobotLinks, add_links, without_links
 from cloth_sim_ros.scene.scene import Scene
 
 _CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -58,7 +58,19 @@ def chain(n_joints: int, shapes_per_link: int, *, length: float = 0.1, mesh: str
     return f'<robot name="chain">{links}{joints}</robot>'
 
 
+def with_links(
+    values: dict[str, Any],
+    description: str,
+    *,
+    folder: str | Path = ".",
+    files: dict[str, bytes] | None = None,
+) -> tuple[dict[str, Any], dict[str, bytes], RobotLinks]:
+    """Return what `add_links` returns for the scene of values."""
+    scene = Scene.from_parameters(without_links(values), files=files)
+    return add_links(scene, values, description, folder=folder)
+
+
 def robot_scene(description: str, values: dict[str, Any], *, folder: str | Path = ".") -> tuple[Scene, RobotLinks]:
     """Return a scene with the links of a description, and the links; `folder` has the meshes."""
-    extended, files, links = add_links({"robot.enabled": True, **values}, description, folder=folder)
+    extended, files, links = with_links({"robot.enabled": True, **values}, description, folder=folder)
     return Scene.from_parameters(extended, files=files), links

@@ -124,9 +124,9 @@ def _scene(values: dict[str, Any]) -> Scene:
             "warning: the robot's description comes by a topic, so its links are not checked (robot.description_file)"
         )
         return Scene.from_parameters(values, files=files)
-    from cloth_sim_ros.scene.robot.links import scene_with_links
+    from cloth_sim_ros.scene.robot.links import scene_with_links, without_links
 
-    scene, links = scene_with_links(values, files=files)
+    scene, links = scene_with_links(Scene.from_parameters(without_links(values), files=files), values)
     for note in links.notes:
         print(note)
     return scene

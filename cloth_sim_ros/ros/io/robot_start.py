@@ -72,7 +72,7 @@ class RobotStart:
             folder = Path(settings.description_file).parent
         else:
             description = self._await_description(settings)
-        extended, contents, links = add_links(values, description, folder=folder, files=scene.files)
+        extended, contents, links = add_links(scene, values, description, folder=folder)
         for note in links.notes:
             self._node.get_logger().info(note)
         self.links, self.states = links, JointStates(links.joint_names)

@@ -12,7 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -25,7 +25,9 @@ from cloth_sim_ros.scene.robot import collision_meshes
 from cloth_sim_ros.scene.robot.description import CollisionShape, RobotDescription, parse, transform
 from cloth_sim_ros.scene.robot.kinematics import Kinematics, poses_of, transform_of
 from cloth_sim_ros.scene.robot_section import TF, RobotParameters
-from cloth_sim_ros.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.scene.scene import Scene
 
 #: End of the names of the parameters that name an obstacle's link.
 LINK_SUFFIX = ".link"
@@ -111,30 +113,25 @@ class RobotLinks:
 
 
 def add_links(
-    values: Mapping[str, Any],
-    description: str | bytes,
-    *,
-    folder: str | Path = ".",
-    files: Mapping[str, bytes] | None = None,
+    scene: Scene, values: Mapping[str, Any], description: str | bytes, *, folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes], RobotLinks]:
     """Return a scene's parameters with a robot's links as obstacles.
 
     The obstacles are at the poses of joints at 0; `RobotLinks.poses` and `with_poses` place them elsewhere.
 
     Args:
-        values: parameters of the scene by full name; those of links that an earlier call added are replaced.
+        scene: the scene without links.
+        values: its parameters by full name; those of links that an earlier call added are replaced.
         description: the robot's description (URDF).
         folder: base of relative names of mesh files.
-        files: content of files that the values name.
 
     Returns:
         Parameters by full name, contents of the files that they name, and the links.
 
     Raises:
-        ParameterError: for an invalid description or scene, or a mesh that can't be read; naming the remedy.
+        ParameterError: for an invalid description, or a mesh that can't be read; naming the remedy.
     """
     base_values = without_links(values)
-    scene = Scene.from_parameters(base_values, files=files)
     robot = parse(description)
     kinematics = Kinematics(robot)
     links, notes = _selected_links(scene, robot, kinematics)
@@ -149,7 +146,7 @@ def add_links(
             candidates += _obstacles_of(scene.robot, link, shape, Path(folder), notes)
     if scene.robot.links == ("",):
         candidates = _within_reach(scene, candidates, kinematics, notes)
-    used = {*scene.gripper_names, *scene.cameras, *scene.described, *Scene.groups()}
+    used = {*scene.gripper_names, *scene.cameras, *scene.described, *scene.groups()}
     added: dict[str, Any] = {}
     contents = dict(scene.files)
     obstacles = []
@@ -174,24 +171,21 @@ def with_poses(values: Mapping[str, Any], links: RobotLinks, poses: Array) -> di
     return placed
 
 
-def scene_with_links(
-    values: Mapping[str, Any], *, folder: str | Path = ".", files: Mapping[str, bytes] | None = None
-) -> tuple[Scene, RobotLinks]:
-    """Return the scene of parameters with `robot.enabled` and `robot.description_file`, and the links.
+def scene_with_links(scene: Scene, values: Mapping[str, Any], *, folder: str | Path = ".") -> tuple[Scene, RobotLinks]:
+    """Return a scene with the links in `robot.description_file` as obstacles, and the links.
 
     Args:
-        values: parameters by full name.
-        folder: base of relative names of files.
-        files: content of files that the values name, if it is already loaded; other files are read.
+        scene: the scene without links.
+        values: its parameters by full name, as for `add_links`.
+        folder: base of the relative name of the description.
 
     Raises:
         ParameterError: as `add_links`, or if the description can't be read.
     """
     name = str(values.get("robot.description_file", ""))
     description = read_description(name, folder)
-    known = Scene.from_parameters(without_links(values), files=files, folder=folder).files
-    extended, contents, links = add_links(values, description, folder=Path(folder, name).parent, files=known)
-    return Scene.from_parameters(extended, files=contents), links
+    extended, contents, links = add_links(scene, values, description, folder=Path(folder, name).parent)
+    return type(scene).from_parameters(extended, files=contents), links
 
 
 def read_description(name: str, folder: str | Path = ".") -> bytes:
