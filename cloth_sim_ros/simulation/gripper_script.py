@@ -8,17 +8,24 @@ import bisect
 import functools
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import attrs
+import numpy as np
+from numpy.typing import ArrayLike
 
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import normalized, rotated_by, rotation_vector
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.parameters import ros_yaml
 
 Vector = tuple[float, ...]
+#: Target rate of a script that gives none [Hz].
+DEFAULT_RATE = 100.0
+#: Motion between waypoints: from rest to rest, or straight at constant speed.
+INTERPOLATIONS = MINIMUM_JERK, LINEAR = ("minimum_jerk", "linear")
 
 
 class ScriptError(ValueError):
@@ -56,14 +63,20 @@ class GripperScript:
     rate: float
     waypoints: tuple[Waypoint, ...]
     grasps: tuple[TimedGrasp, ...]
+    #: One of `INTERPOLATIONS`.
+    interpolation: str = MINIMUM_JERK
 
     @classmethod
     def from_file(cls, path: str | Path) -> GripperScript:
-        """Read a script.
+        """Read a script (YAML), or recorded poses (CSV, by its ending; see `pose_table`).
 
         Raises:
             ScriptError: naming the file and the fault.
         """
+        if Path(path).suffix.lower() == ".csv":
+            from cloth_sim_ros.simulation import pose_table
+
+            return pose_table.read(path)
         import yaml
 
         try:
@@ -82,8 +95,9 @@ class GripperScript:
         Raises:
             ScriptError: for a missing, unknown or invalid entry.
         """
-        entries = _checked_entries(content, "script", needed={"steps"}, known={"gripper", "frame_id", "rate", "steps"})
-        rate = _read_number(entries.get("rate", 100.0), "rate")
+        known = {"gripper", "frame_id", "rate", "steps", "interpolation"}
+        entries = _checked_entries(content, "script", needed={"steps"}, known=known)
+        rate = _read_number(entries.get("rate", DEFAULT_RATE), "rate")
         if not 0.1 <= rate <= 10000.0:
             raise ScriptError(f"rate is {rate} Hz; it must be from 0.1 to 10000")
         if not isinstance(entries["steps"], list) or not entries["steps"]:
@@ -101,8 +115,70 @@ class GripperScript:
         for first, second in itertools.pairwise(waypoints):
             if second.time <= first.time:
                 raise ScriptError(f"two positions are at {second.time} s; a gripper is in one place at a time")
-        gripper, frame_id = str(entries.get("gripper", "gripper")), str(entries.get("frame_id", ""))
-        return cls(gripper=gripper, frame_id=frame_id, rate=rate, waypoints=tuple(waypoints), grasps=tuple(grasps))
+        interpolation = str(entries.get("interpolation", MINIMUM_JERK))
+        if interpolation not in INTERPOLATIONS:
+            raise ScriptError(f"interpolation is '{interpolation}'; it must be one of {', '.join(INTERPOLATIONS)}")
+        return cls(
+            gripper=str(entries.get("gripper", "gripper")),
+            frame_id=str(entries.get("frame_id", "")),
+            rate=rate,
+            waypoints=tuple(waypoints),
+            grasps=tuple(grasps),
+            interpolation=interpolation,
+        )
+
+    @classmethod
+    def from_poses(
+        cls,
+        times: ArrayLike,
+        poses: ArrayLike,
+        *,
+        gripper: str = "gripper",
+        closed: ArrayLike | None = None,
+        frame_id: str = "",
+    ) -> GripperScript:
+        """Build a script from poses over time, such as those of a recorded robot; straight between two poses.
+
+        Args:
+            times: increasing times [s], shape (count,); the first one is the script's start.
+            poses: position [m], and optionally quaternion x, y, z, w, shape (count, 3) or (count, 7).
+            gripper: name of the gripper.
+            closed: whether the gripper is closed, for all times or for each one, shape () or (count,); None for no
+                grasps.
+            frame_id: coordinate frame of the poses; empty means the cloth's.
+
+        Raises:
+            ScriptError: for other shapes, a value that is not finite, or times that do not increase.
+        """
+        stamps, rows = _number_array(times, "times"), _number_array(poses, "poses")
+        if stamps.ndim != 1 or not stamps.size:
+            raise ScriptError(f"times have the shape {stamps.shape}; it must be (count,), with at least one time")
+        if rows.shape not in ((stamps.size, 3), (stamps.size, 7)):
+            raise ScriptError(f"poses have the shape {rows.shape}; it must be ({stamps.size}, 3) or ({stamps.size}, 7)")
+        late = np.flatnonzero(np.diff(stamps) <= 0.0)
+        if late.size:
+            k = int(late[0])
+            raise ScriptError(f"time {k + 1} is {stamps[k + 1]} s, after {stamps[k]} s; times must increase")
+        waypoints = []
+        for time, row in zip((stamps - stamps[0]).tolist(), rows.tolist(), strict=True):
+            orientation = _unit_quaternion(row[3:], f"the pose at {time:g} s") if row[3:] else (0.0, 0.0, 0.0, 1.0)
+            waypoints.append(Waypoint(time=time, position=tuple(row[:3]), orientation=orientation))
+        grasps = []
+        if closed is not None:
+            flags = np.asarray(closed, dtype=np.bool_)
+            if flags.shape not in ((), stamps.shape):
+                raise ScriptError(f"closed has the shape {flags.shape}; it must be () or ({stamps.size},)")
+            flags = np.broadcast_to(flags, stamps.shape)
+            changes = [0, *(np.flatnonzero(flags[1:] != flags[:-1]) + 1).tolist()]
+            grasps = [TimedGrasp(time=waypoints[k].time, closed=bool(flags[k])) for k in changes]
+        return cls(
+            gripper=gripper,
+            frame_id=frame_id,
+            rate=DEFAULT_RATE,
+            waypoints=tuple(waypoints),
+            grasps=tuple(grasps),
+            interpolation=LINEAR,
+        )
 
     @property
     def duration(self) -> float:
@@ -113,29 +189,57 @@ class GripperScript:
         """Return the time [s] until which the gripper keeps its pose of a time [s]; that time itself while the gripper
         moves.
         """
-        end = time
-        for first, second in itertools.pairwise(self.waypoints):
-            if first.time <= end < second.time:
-                if (first.position, first.orientation) != (second.position, second.orientation):
-                    return end
-                end = second.time
-        return end if end < self.waypoints[-1].time else math.inf
+        waypoints, k = self.waypoints, self._waypoint_index(time)
+        if k < 0:
+            return time
+        while k + 1 < len(waypoints):
+            first, second = waypoints[k], waypoints[k + 1]
+            if (first.position, first.orientation) != (second.position, second.orientation):
+                return max(time, first.time)
+            k += 1
+        return math.inf
 
     def pose(self, time: float) -> tuple[Vector, Vector]:
-        """Return position [m] and orientation at a time [s]: rest in each waypoint, minimum jerk between waypoints."""
-        times = [waypoint.time for waypoint in self.waypoints]
-        upper = bisect.bisect_right(times, time)
-        if upper == 0:
-            return self.waypoints[0].position, self.waypoints[0].orientation
-        start = self.waypoints[upper - 1]
-        if upper == len(times):
+        """Return position [m] and orientation at a time [s]; the first and the last one outside the waypoints' times.
+
+        With minimum jerk, the gripper rests in each waypoint.
+        """
+        k = self._waypoint_index(time)
+        start = self.waypoints[max(k, 0)]
+        if k < 0 or k + 1 == len(self.waypoints):
             return start.position, start.orientation
-        end = self.waypoints[upper]
+        end = self.waypoints[k + 1]
         s = (time - start.time) / (end.time - start.time)
         # Minimum jerk from rest to rest (Flash and Hogan 1985).
-        fraction = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        fraction = s if self.interpolation == LINEAR else s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         position = tuple(a + fraction * (b - a) for a, b in zip(start.position, end.position, strict=True))
         return position, _interpolated_orientation(start.orientation, end.orientation, fraction)
+
+    def _waypoint_index(self, time: float) -> int:
+        """Return the index of the last waypoint at a time [s] or before; -1 if there is none."""
+        return bisect.bisect_right(self._times, time) - 1
+
+    @functools.cached_property
+    def _times(self) -> list[float]:
+        return [waypoint.time for waypoint in self.waypoints]
+
+
+def _number_array(values: ArrayLike, name: str) -> Array:
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ScriptError(f"{name} are no array of numbers: {error}") from error
+    if not np.isfinite(numbers).all():
+        index = np.argwhere(~np.isfinite(numbers))[0].tolist()
+        raise ScriptError(f"{name} hold {numbers[tuple(index)]} at {index}; all must be finite")
+    return numbers
+
+
+def _unit_quaternion(numbers: Sequence[float], name: str) -> Vector:
+    try:
+        return tuple(normalized(numbers).tolist())
+    except ValueError as error:
+        raise ScriptError(f"{name}: {error}") from error
 
 
 def _read_step(step: Any, name: str, waypoints: list[Waypoint], grasps: list[TimedGrasp]) -> float:
@@ -147,11 +251,7 @@ def _read_step(step: Any, name: str, waypoints: list[Waypoint], grasps: list[Tim
         position = _read_numbers(entries["position"], 3, f"{name}: position")
         orientation = waypoints[-1].orientation if waypoints else (0.0, 0.0, 0.0, 1.0)
         if "orientation" in entries:
-            try:
-                quaternion = normalized(_read_numbers(entries["orientation"], 4, f"{name}: orientation"))
-            except ValueError as error:
-                raise ScriptError(f"{name}: {error}") from error
-            orientation = tuple(quaternion.tolist())
+            orientation = _unit_quaternion(_read_numbers(entries["orientation"], 4, f"{name}: orientation"), name)
         waypoints.append(Waypoint(time=time, position=position, orientation=orientation))
     elif "orientation" in entries:
         raise ScriptError(f"{name} has an orientation without a position")

@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from numpy.typing import ArrayLike
 
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.gripper_script import GripperScript
+from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 
 class ScriptEvents:
@@ -42,3 +46,44 @@ class ScriptEvents:
             while pending and pending[0].time <= frame * self._period + 1e-9:
                 events.append(Grasp(script.gripper, pending.pop(0).closed))
         return events
+
+
+def pose_scripts(
+    names: Sequence[str], times: ArrayLike, poses: ArrayLike | Mapping[str, ArrayLike], closed: Any
+) -> list[GripperScript]:
+    """Return the scripts of `Simulation.play`.
+
+    Args:
+        names: names of the scene's grippers.
+        times: as for `Simulation.play`, and so are the others.
+        poses: of the only gripper, or by gripper.
+        closed: for the only gripper, for all, or by gripper.
+
+    Raises:
+        ScriptError: as `GripperScript.from_poses`, and for a gripper that the scene does not have.
+    """
+    if not isinstance(poses, Mapping):
+        if len(names) != 1:
+            raise ScriptError(f"the scene has {len(names)} grippers; give poses by name: {{name: poses}}")
+        poses = {names[0]: poses}
+    by_name = closed if isinstance(closed, Mapping) else dict.fromkeys(poses, closed)
+    for name in (*poses, *by_name):
+        if name not in names:
+            raise ScriptError(f"the scene has no gripper '{name}'; it has {', '.join(names) or 'none'}")
+    return [
+        GripperScript.from_poses(times, rows, gripper=name, closed=by_name.get(name)) for name, rows in poses.items()
+    ]
+
+
+def frame_events(scripts: Sequence[GripperScript], period: float) -> Iterator[list[Event]]:
+    """Yield the events of each frame that plays scripts.
+
+    The first frame moves the grippers to their first poses. The scripts begin at its end.
+    """
+    yield [Target(script.gripper, *script.pose(0.0)) for script in scripts]
+    events = ScriptEvents(scripts, period)
+    # A grasp at the last pose takes one more frame.
+    ends = [script.waypoints[-1].time for script in scripts]
+    ends += [grasp.time + period for script in scripts for grasp in script.grasps]
+    for frame in range(math.ceil(max(ends) / period - 1e-9)):
+        yield events.at(frame)

@@ -7,11 +7,11 @@ Every change of the cloth's state goes through this class.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
@@ -210,6 +210,34 @@ class Simulation(ExclusiveAccess):
         except BaseException:
             self._assign(before)
             raise
+
+    def play(
+        self, times: ArrayLike, poses: ArrayLike | Mapping[str, ArrayLike], *, closed: Any = None
+    ) -> Iterator[Frame]:
+        """Move grippers along recorded poses, and yield each frame.
+
+        The first frame moves the grippers to their first poses. The k-th frame after it ends k periods after
+        `times[0]`, with each gripper at its pose of that time, straight between two poses. A gripper that closes or
+        opens at the last pose does so in one more frame.
+
+        Args:
+            times: increasing times [s], shape (count,).
+            poses: position [m], and optionally quaternion x, y, z, w, in the scene's frame, shape (count, 3) or
+                (count, 7); for several grippers, such an array by name.
+            closed: whether the gripper is closed, for all times or for each one, shape () or (count,), or such by name;
+                None leaves it as it is.
+
+        Raises:
+            ValueError: for other shapes, a value that is not finite, times that do not increase, an unknown gripper,
+                or a paused simulation.
+            EventError: during the iteration, for a pose that can't take effect.
+        """
+        from cloth_sim_ros.simulation.script_events import frame_events, pose_scripts
+
+        if self.paused:
+            raise ValueError("the simulation is paused; resume it by Pause(False)")
+        scripts = pose_scripts(self.grippers.names, times, poses, closed)
+        return (self.advance(events) for events in frame_events(scripts, self._period))
 
     @exclusive
     def snapshot(self) -> Snapshot:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import attrs
 import rclpy
@@ -21,6 +22,9 @@ from cloth_sim_ros.ros.timing.sim_time import SimTimeNode
 from cloth_sim_ros.scene.config_files import config_file
 from cloth_sim_ros.session.command_runner import INTERRUPTED
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
+
+#: Endings of the files of bags and sessions.
+_BAG_ENDINGS = (".mcap", ".db3")
 
 
 def run(argv: Sequence[str], signals: StopSignals) -> int:
@@ -45,13 +49,9 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
 
 def _play(options: argparse.Namespace, signals: StopSignals) -> int:
     try:
-        scripts = [GripperScript.from_file(path) for path in options.scripts or [config_file("grasp.yaml")]]
+        scripts = _read_scripts(options)
     except ScriptError as error:
         return _refuse(str(error))
-    if options.gripper:
-        if len(scripts) > 1:
-            return _refuse("--gripper names one gripper, for one script; several scripts name their own")
-        scripts = [attrs.evolve(scripts[0], gripper=options.gripper)]
     names = [script.gripper for script in scripts]
     for name in names:
         if not name.isidentifier():
@@ -98,18 +98,42 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
     return 0
 
 
+def _read_scripts(options: argparse.Namespace) -> list[GripperScript]:
+    """Return the scripts of the command line.
+
+    Raises:
+        ScriptError: for a file that can't be played, or options that do not fit it.
+    """
+    paths = [Path(path) for path in options.scripts] or [config_file("grasp.yaml")]
+    if len(paths) > 1 and (options.gripper or options.topic):
+        option = "--gripper" if options.gripper else "--topic"
+        raise ScriptError(f"{option} is for one file; {len(paths)} files name their own grippers")
+    if paths[0].is_dir() or paths[0].suffix in _BAG_ENDINGS:
+        if len(paths) > 1:
+            raise ScriptError(f"'{paths[0]}' is a bag; it is played alone")
+        from cloth_sim_ros.ros.client.gripper_bag import bag_scripts
+
+        return bag_scripts(paths[0], gripper=options.gripper, topic=options.topic)
+    if options.topic:
+        raise ScriptError(f"--topic is for bags, and '{paths[0]}' is none")
+    scripts = [GripperScript.from_file(path) for path in paths]
+    return [attrs.evolve(scripts[0], gripper=options.gripper)] if options.gripper else scripts
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cloth_gripper",
-        description="Plays scripted grasps (YAML: times, poses, close, open) into a cloth's command topics.",
+        description="Plays scripted grasps (YAML), or recorded poses (CSV, bags), into a cloth's command topics.",
     )
     parser.add_argument(
         "scripts",
         nargs="*",
         metavar="script",
-        help="a script, or one for each of several grippers, which start together (default: config/grasp.yaml)",
+        help="a script (YAML), a table of poses (CSV), or one of these for each of several grippers, which start "
+        "together; or a bag (folder, MCAP, SQLite), or a session (default: config/grasp.yaml)",
     )
-    parser.add_argument("--gripper", help="name of the gripper, instead of the script's")
+    parser.add_argument("--gripper", help="name of the gripper, instead of the script's; of a bag, the only one played")
+    parser.add_argument("--topic", help="topic of a bag's poses (PoseStamped); default: those named <gripper>/target")
     parser.add_argument("--node", default="/cloth_sim", help="full name of the cloth's node (default: %(default)s)")
     parser.add_argument(
         "--wait",
