@@ -13,6 +13,7 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from cloth_sim_ros.session import ros1_bag
 from cloth_sim_ros.session.errors import DamagedSessionError, SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 from cloth_sim_ros.session.mcap_scan import (
@@ -78,13 +79,16 @@ def is_snapshot(topic: str, type_name: str) -> bool:
 def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
     """Yield topic, type, log time [ns] and CDR bytes of each message with encoding `cdr`, in the order of the file.
 
-    A file that ends with .db3 is SQLite, any other one MCAP.
+    A file that ends with .db3 is SQLite, one that ends with .bag is a bag of ROS 1, any other one is MCAP.
 
     Raises:
         SessionError: if the file cannot be read, or is damaged.
     """
     if path.suffix == _SQLITE:
         yield from _sqlite_messages(path)
+        return
+    if path.suffix == ros1_bag.ENDING:
+        yield from ros1_bag.ros1_messages(path)
         return
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}

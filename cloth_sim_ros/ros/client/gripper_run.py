@@ -24,7 +24,7 @@ from cloth_sim_ros.session.command_runner import INTERRUPTED
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 #: Endings of the files of bags and sessions.
-_BAG_ENDINGS = (".mcap", ".db3")
+_BAG_ENDINGS = (".mcap", ".db3", ".bag")
 
 
 def run(argv: Sequence[str], signals: StopSignals) -> int:
@@ -130,7 +130,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="*",
         metavar="script",
         help="a script (YAML), a table of poses (CSV), or one of these for each of several grippers, which start "
-        "together; or a bag (folder, MCAP, SQLite), or a session (default: config/grasp.yaml)",
+        "together; or a bag (folder, MCAP, SQLite, ROS 1), or a session (default: config/grasp.yaml)",
     )
     parser.add_argument("--gripper", help="name of the gripper, instead of the script's; of a bag, the only one played")
     parser.add_argument("--topic", help="topic of a bag's poses (PoseStamped); default: those named <gripper>/target")
