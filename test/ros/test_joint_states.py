@@ -45,6 +45,19 @@ def test_newest_stamp_counts_and_future_ones_wait() -> None:
     assert states.apply(7)
 
 
+def test_late_state_of_another_publisher_replaces_no_newer_position() -> None:
+    states = JointStates(["a", "b"])
+    states.add(["a"], [2.0], NOW, NOW)
+    assert states.apply(NOW)
+    states.add(["a", "b"], [1.0, 5.0], NOW - 3, NOW)
+    assert states.apply(NOW)
+    assert states.positions.tolist() == [2.0, 5.0]
+    states.restart_time()
+    states.add(["a"], [7.0], 7, 7)
+    assert states.apply(7)
+    assert states.positions.tolist() == [7.0, 5.0]
+
+
 def test_state_without_a_known_joint_is_ignored() -> None:
     states = JointStates(["a"])
     assert not states.add(["wheel"], [math.nan], 0, NOW)

@@ -19,7 +19,7 @@ class JointStates:
     """Newest positions of joints.
 
     States of one list of names are ordered by stamp, as commands of one gripper. States of other names are another
-    publisher's.
+    publisher's. The newest stamp of each joint counts.
 
     Args:
         names: names of the joints; joints of other names are ignored.
@@ -33,6 +33,8 @@ class JointStates:
         self.is_known: NDArray[np.bool_] = np.zeros(len(self.names), dtype=bool)
         #: Stamp of the newest state in force [ns].
         self.stamp = 0
+        #: Stamp of the position of each joint [ns].
+        self._stamps: NDArray[np.int64] = np.zeros(len(self.names), dtype=np.int64)
         self._indices = {name: k for k, name in enumerate(self.names)}
         #: For each list of names: indices in a message, indices of joints, and the gate of its stamps.
         self._publishers: dict[tuple[str, ...], tuple[NDArray[np.int64], NDArray[np.int64], StampGate]] = {}
@@ -86,8 +88,10 @@ class JointStates:
         self._waiting = [state for state in self._waiting if state[0] > now]
         before, known = self.positions.copy(), self.is_known.all()
         for stamp, of_joints, values in ready:
-            self.positions[of_joints] = values
-            self.is_known[of_joints] = True
+            is_newer = self._stamps[of_joints] <= stamp
+            newer = of_joints[is_newer]
+            self.positions[newer], self._stamps[newer] = values[is_newer], stamp
+            self.is_known[newer] = True
             self.stamp = max(self.stamp, stamp)
         return not known or not np.array_equal(before, self.positions)
 
@@ -95,5 +99,6 @@ class JointStates:
         """Accept any stamp next, because the clock was set back."""
         self._waiting.clear()
         self.stamp = 0
+        self._stamps[:] = 0
         for _, _, gate in self._publishers.values():
             gate.reset()
