@@ -22,6 +22,18 @@ from cloth_sim_ros.session.errors import SessionError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+__all__ = [
+    "Cloud",
+    "MeshMessage",
+    "decode",
+    "decode_cloud",
+    "decode_mesh",
+    "decode_string",
+    "encode",
+    "encode_string",
+    "message_class",
+]
+
 _LITTLE = b"\x00\x01\x00\x00"
 #: Size [bytes] of a number by its type in sensor_msgs/PointField: FLOAT32, FLOAT64.
 _FIELD_SIZES = {7: 4, 8: 8}
@@ -55,7 +67,18 @@ class MeshMessage:
 
 
 def decode(data: bytes | memoryview, type_name: str) -> Any:
-    """Decode a standard message into rosbags' object. Raises SessionError if the bytes do not fit the type."""
+    """Decode a standard message.
+
+    Args:
+        data: CDR bytes.
+        type_name: such as ``geometry_msgs/msg/PoseStamped``, of ROS 2 Jazzy's common interfaces.
+
+    Returns:
+        An object with the message's fields as attributes; arrays of numbers are numpy arrays.
+
+    Raises:
+        SessionError: if the bytes do not fit the type, or the type is unknown.
+    """
     from rosbags.serde import SerdeError
 
     try:
@@ -65,12 +88,16 @@ def decode(data: bytes | memoryview, type_name: str) -> Any:
 
 
 def encode(message: object, type_name: str) -> bytes:
-    """Encode one of rosbags' message objects as CDR bytes (little-endian), see `message_class`."""
+    """Encode a message, made by `message_class`, as CDR bytes (little-endian)."""
     return bytes(standard_types().serialize_cdr(message, type_name, little_endian=True))
 
 
 def message_class(type_name: str) -> Any:
-    """Return the class that `encode` takes and `decode` returns; its arguments are the message's fields."""
+    """Return the class that `encode` takes and `decode` returns; its arguments are the message's fields.
+
+    Raises:
+        SessionError: for a type that is not in ROS 2 Jazzy's common interfaces.
+    """
     try:
         return standard_types().types[type_name]
     except KeyError:

@@ -38,7 +38,7 @@ _FEWER = {"implicit": 2}
 def api() -> dict[str, Any]:
     """Return the names that the package exports, with signatures, fields, methods and properties."""
     names: dict[str, Any] = {}
-    for package in ("cloth_sim_ros", "cloth_sim_ros.learning", "cloth_sim_ros.batch"):
+    for package in ("cloth_sim_ros", "cloth_sim_ros.learning", "cloth_sim_ros.batch", "cloth_sim_ros.session.cdr"):
         module = importlib.import_module(package)
         for name in module.__all__:
             names[f"{package}.{name}"] = _described(getattr(module, name))
