@@ -46,6 +46,7 @@ from cloth_sim_ros.scene.sections import (
     DiagnosticsParameters,
     GripperParameters,
     MaterialParameters,
+    MembraneParameters,
     PointsParameters,
     RecordParameters,
     RobotParameters,
@@ -80,6 +81,7 @@ class Scene:
     )
     cloth: ClothParameters = section(ClothParameters)
     material: MaterialParameters = section(MaterialParameters)
+    membrane: MembraneParameters = section(MembraneParameters)
     bending: BendingParameters = section(BendingParameters)
     gravity: tuple[float, ...] = parameter(
         "double[]",
@@ -411,14 +413,16 @@ class Scene:
             ParameterError: if the moduli can't be met, or the cloth is no grid.
         """
         sheet = self.sheet
-        if not isinstance(sheet, GridSheet):
-            raise ParameterError("only a grid has threads; this cloth is a mesh or raw springs")
+        if not isinstance(sheet, GridSheet) or self.membrane.model == "triangles":
+            raise ParameterError("only a grid of springs has threads; this cloth is a mesh, triangles or raw springs")
         return grid_threads_of(self, sheet)
 
     @property
     def poisson_ratio(self) -> float | None:
         """Poisson's ratio of the sheet along its axes, as network and moduli determine it; None for raw springs."""
         sheet = self.sheet
+        if self.membrane.model == "triangles":
+            return self.material.poisson_ratio
         if isinstance(sheet, GridSheet):
             return grid_threads_of(self, sheet).poisson_ratio
         return POISSON_RATIO if isinstance(sheet, MeshSheet) else None

@@ -51,6 +51,20 @@ inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double
         }
 }
 
+/// Add a coupling B, by rows: B and its transpose on the diagonals of i and j, -B between them. Rows as in `add_pair`.
+inline void add_coupling(const Band& a, std::int64_t i, std::int64_t j, const double* block) {
+    for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c) {
+            if (i >= 0) a.row(i, r)[c] += block[3 * r + c];
+            if (j >= 0) a.row(j, r)[c] += block[3 * c + r];
+            if (i < 0 || j < 0) continue;
+            if (i < j)
+                a.row(i, r)[3 * (j - i) + c] -= block[3 * r + c];
+            else
+                a.row(j, r)[3 * (i - j) + c] -= block[3 * c + r];
+        }
+}
+
 /// Add a mass and a block (xx, yy, zz, xy, xz, yz; spaced by `component_stride`) to the diagonal of row i.
 inline void add_diagonal(const Band& a, std::int64_t i, double mass, const double* block,
                          std::int64_t component_stride) {

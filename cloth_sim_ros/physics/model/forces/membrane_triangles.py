@@ -1,0 +1,102 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Membrane of woven cloth: triangles of constant strain with moduli by thread direction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.parts import ElementList, Part
+
+
+class MembraneTriangles(EngineForce):
+    """Orthotropic St. Venant-Kirchhoff triangles; docs/derivations/membrane.md derives them.
+
+    a and b are the present images of unit vectors along warp and weft, Green's strains e1 = (a·a - 1)/2 and
+    e2 = (b·b - 1)/2, shear γ = a·b. The energy per area at rest is C11 e1²/2 + C12 e1 e2 + C22 e2²/2 + G γ²/2. Damping
+    adds the stress D (ė1, ė2, γ̇) times the size of the triangle, which is sqrt(2 area), or 1 m with `sized` False.
+    The force has no resultant and no torque. It resists compression until the triangle is shorter than 1/sqrt(3), then
+    less and less; a collapsed triangle is an unstable equilibrium without a preferred side.
+
+    Args:
+        triangles: particles of each triangle, shape (m, 3).
+        corners: rest coordinates of the corners along warp and weft [m], shape (m, 3, 2).
+        moduli: C11, C12, C22, G [N/m], shape (4,); positive semidefinite.
+        viscosities: D11, D12, D22, D33, shape (4,), positive semidefinite, in N s/m², or N s/m with `sized` False.
+        sized: whether damping grows with the size of the triangle.
+        name: the force's name in a model.
+
+    Raises:
+        ValueError: for a triangle without area, a particle that a triangle names twice, or numbers that are not finite
+            or not positive semidefinite.
+    """
+
+    def __init__(
+        self,
+        triangles: ArrayLike,
+        corners: ArrayLike,
+        *,
+        moduli: ArrayLike,
+        viscosities: ArrayLike = (0.0, 0.0, 0.0, 0.0),
+        sized: bool = True,
+        name: str = "membrane",
+    ) -> None:
+        self.name = name
+        self.triangles: NDArray[np.int64] = indices(f"triangles of '{name}'", triangles, 3, np.iinfo(np.int64).max)
+        i, j, k = self.triangles.T
+        repeated = np.flatnonzero((i == j) | (j == k) | (k == i))
+        if repeated.size:
+            raise ValueError(
+                f"triangle {repeated[0]} of '{name}' is {self.triangles[repeated[0]].tolist()}; it needs three "
+                "different particles"
+            )
+        shape = (len(self.triangles), 3, 2)
+        points = finite(f"corners of '{name}'", corners, shape, one_for_all=False)
+        #: C11, C12, C22, G [N/m], and D11, D12, D22, D33.
+        self.moduli = _definite(f"moduli of '{name}'", moduli)
+        self.viscosities = _definite(f"viscosities of '{name}'", viscosities)
+        self.damped = bool(np.any(self.viscosities))
+        (x1, y1), (x2, y2) = (points[:, 1] - points[:, 0]).T, (points[:, 2] - points[:, 0]).T
+        determinant = x1 * y2 - x2 * y1
+        flat = np.flatnonzero(~(np.abs(determinant) > 0.0))
+        if flat.size:
+            raise ValueError(f"triangle {flat[0]} of '{name}' has no area at rest; its corners must not be in line")
+        #: Area of each triangle at rest [m^2], shape (m,).
+        self.areas: Array = 0.5 * np.abs(determinant)
+        size = np.sqrt(2.0 * self.areas) if sized else np.ones_like(self.areas)
+        damping = self.areas * size if self.damped else np.zeros_like(self.areas)
+        gradients = y2 / determinant, -y1 / determinant, -x2 / determinant, x1 / determinant
+        #: p1, p2, q1, q2 [1/m], area and damping of each triangle as in the engine's law, shape (m, 6).
+        self.coefficients: Array = np.stack([*gradients, self.areas, damping], axis=1)
+
+    def parts(self, particle_count: int) -> Sequence[Part]:
+        triangles = indices(f"triangles of '{self.name}'", self.triangles, 3, particle_count)
+        if not len(triangles):
+            return ()
+        shared = np.concatenate([self.moduli, self.viscosities])
+        return (
+            ElementList(
+                kind="membrane", particles=triangles, coefficients=self.coefficients, shared_coefficients=shared
+            ),
+        )
+
+
+def _definite(name: str, numbers: ArrayLike) -> Array:
+    """Return C11, C12, C22, C33 as an array.
+
+    Raises:
+        ValueError: unless they are finite and positive semidefinite.
+    """
+    array = finite(name, numbers, (4,), one_for_all=False)
+    warp, coupling, weft, shear = array.tolist()
+    if min(warp, weft, shear) < 0.0 or coupling * coupling > warp * weft:
+        raise ValueError(
+            f"{name} are {array.tolist()}; C11, C22 and C33 must be at least 0, and C12² at most C11 C22, else energy "
+            "comes from nowhere"
+        )
+    return array
