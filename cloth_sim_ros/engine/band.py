@@ -50,8 +50,7 @@ def rows(count: int, width: int) -> Array:
 
 
 def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: Index) -> None:
-    """Add the blocks B that are chosen: B on the diagonal of a pair's first particle, B' on that of its second one, -B
-    between them.
+    """Add the blocks B that are chosen: the symmetric part on both diagonals of a pair, -B between them.
 
     Args:
         rows: the matrix.

@@ -51,12 +51,14 @@ inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double
         }
 }
 
-/// Add a coupling B, by rows: B and its transpose on the diagonals of i and j, -B between them. Rows as in `add_pair`.
+/// Add a coupling B, by rows: its symmetric part on both diagonals, -B between them. Rows as in `add_pair`. The blocks of
+/// all couplings of a particle add up to a symmetric one.
 inline void add_coupling(const Band& a, std::int64_t i, std::int64_t j, const double* block) {
     for (int r = 0; r < 3; ++r)
         for (int c = 0; c < 3; ++c) {
-            if (i >= 0) a.row(i, r)[c] += block[3 * r + c];
-            if (j >= 0) a.row(j, r)[c] += block[3 * c + r];
+            const double symmetric = 0.5 * (block[3 * r + c] + block[3 * c + r]);
+            if (i >= 0) a.row(i, r)[c] += symmetric;
+            if (j >= 0) a.row(j, r)[c] += symmetric;
             if (i < 0 || j < 0) continue;
             if (i < j)
                 a.row(i, r)[3 * (j - i) + c] -= block[3 * r + c];
