@@ -56,7 +56,8 @@ class MembraneTriangles(EngineForce):
                 "different particles"
             )
         shape = (len(self.triangles), 3, 2)
-        points = finite(f"corners of '{name}'", corners, shape, one_for_all=False)
+        #: Rest coordinates of the corners along warp and weft [m], shape (m, 3, 2).
+        self.corners = points = finite(f"corners of '{name}'", corners, shape, one_for_all=False)
         #: C11, C12, C22, G [N/m], and D11, D12, D22, D33.
         self.moduli = _definite(f"moduli of '{name}'", moduli)
         self.viscosities = _definite(f"viscosities of '{name}'", viscosities)
