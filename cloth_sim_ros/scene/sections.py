@@ -105,6 +105,12 @@ class ClothParameters:
 class MaterialParameters:
     """Physical moduli of the sheet."""
 
+    fabric: str = parameter(
+        "string",
+        "",
+        "Fabric whose values are the defaults of the material: denim, ..., or the path of a fabric file (YAML); other "
+        "parameters that are set override it; empty: none",
+    )
     density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", min=1e-9, max=1e3, live=True)
     stretch_modulus: float = parameter(
         "double",
