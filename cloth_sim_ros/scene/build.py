@@ -600,7 +600,17 @@ def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: ND
         )
     else:
         hinges = sheet.surface.hinges
-        options["hinge_constants"] = calibration.mesh_hinge_constants(hinges, rest_positions, bending_modulus=modulus)
+        warp, weft = bending_moduli(scene)
+        isotropic = modulus if warp == weft else 1.0
+        constants = calibration.mesh_hinge_constants(hinges, rest_positions, bending_modulus=isotropic)
+        if warp != weft:
+            from cloth_sim_ros.physics.model.sheets.thread_bending import thread_factors
+
+            direction = scene.material.warp_direction
+            constants = constants * thread_factors(
+                hinges, rest_positions, constants, moduli=(warp, weft), warp=direction
+            )
+        options["hinge_constants"] = constants
     return [
         *calibration.bending_terms(
             model,  # type: ignore[arg-type]

@@ -89,7 +89,6 @@ def check_sheet(scene: PhysicsScene) -> None:
 
 def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
     """Refuse threads that the elements of a sheet can't represent."""
-    material = scene.material
     if scene.membrane.model == "triangles":
         if isinstance(sheet, RawSprings):
             raise ParameterError("membrane.model 'triangles' is not for cloth.springs, which has springs of its own")
@@ -102,11 +101,21 @@ def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
                 "are alike in all directions: set membrane.model to triangles, or stretch_modulus_weft to 0.0"
             )
     warp, weft = bending_moduli(scene)
-    if warp != weft and not isinstance(sheet, GridSheet):
+    if warp == weft or scene.bending.model not in ("crossed", "altitude"):
+        return
+    if isinstance(sheet, RawSprings):
         raise ParameterError(
-            f"material.bending_modulus_weft is {material.bending_modulus_weft} N m and bending_modulus "
-            f"{material.bending_modulus} N m; hinges of a mesh are alike in all directions: set bending_modulus_weft "
-            "to 0.0"
+            f"material.bending_modulus_weft is {weft} N m and bending_modulus {warp} N m; cloth.springs has no "
+            "directions of threads: set bending_modulus_weft to 0.0"
         )
-    if warp != weft and scene.bending.model in ("crossed", "altitude"):
+    if not warp > 0.0:
+        raise ParameterError(f"material.bending_modulus_weft is {weft} N m without bending_modulus; set both")
+    if isinstance(sheet, GridSheet):
         along_grid(scene, (warp, weft), "material.bending_modulus")
+    else:
+        try:
+            hinge_springs(scene, sheet, sheet.masses(1.0), None)
+        except ValueError as error:
+            raise ParameterError(
+                f"material.bending_modulus_weft is {weft} N m beside bending_modulus {warp} N m: {error}"
+            ) from error

@@ -61,16 +61,11 @@ class FabricModuli:
         weft = self.weft / rest
         return self.warp / rest, self.poisson_ratio * weft, weft, self.shear
 
-    @property
-    def is_isotropic(self) -> bool:
-        """True if the direction of the threads does not matter."""
-        return self.warp == self.weft and math.isclose(self.shear, self.warp / (2.0 * (1.0 + self.poisson_ratio)))
-
 
 def thread_coordinates(positions: ArrayLike, triangles: NDArray[np.int64], warp: ArrayLike) -> Array:
     """Return the corners of triangles along warp and weft, from their first corner [m], shape (m, 3, 2).
 
-    The warp of a triangle is the projection of `warp` onto its plane.
+    The warp of a triangle is the projection of `warp` onto its plane, see `along_plane`.
 
     Args:
         positions: rest positions [m], shape (n, 3).
@@ -78,31 +73,55 @@ def thread_coordinates(positions: ArrayLike, triangles: NDArray[np.int64], warp:
         warp: direction of the warp, shape (3,).
 
     Raises:
-        ValueError: for a triangle whose plane is perpendicular to the warp, or that has no area.
+        ValueError: if every triangle is perpendicular to the warp, or one has no area.
     """
     x = np.asarray(positions, dtype=np.float64)
     first, second = x[triangles[:, 1]] - x[triangles[:, 0]], x[triangles[:, 2]] - x[triangles[:, 0]]
-    normal = _cross(first, second)
-    twice_area = np.sqrt(_dot(normal, normal))
-    flat = np.flatnonzero(~(twice_area > 0.0))
-    if flat.size:
-        raise ValueError(f"triangle {flat[0]} has no area")
-    normal = normal / twice_area[:, None]
-    direction = np.broadcast_to(np.asarray(warp, dtype=np.float64), normal.shape)
-    along = direction - _dot(direction, normal)[:, None] * normal
-    length, full_length = np.sqrt(_dot(along, along)), np.sqrt(_dot(direction, direction))
-    lost = np.flatnonzero(~(length > MIN_SINE * full_length))
-    if lost.size:
-        raise ValueError(
-            f"the plane of triangle {lost[0]} is perpendicular to the warp {np.asarray(warp).tolist()}; choose another "
-            "direction"
-        )
-    along = along / length[:, None]
-    across = _cross(normal, along)
+    along, normal = along_plane(cross_rows(first, second), warp)
+    across = cross_rows(normal, along)
     corners = np.zeros((len(triangles), 3, 2))
     for corner, edge in ((1, first), (2, second)):
-        corners[:, corner, 0], corners[:, corner, 1] = _dot(edge, along), _dot(edge, across)
+        corners[:, corner, 0], corners[:, corner, 1] = dot_rows(edge, along), dot_rows(edge, across)
     return corners
+
+
+def along_plane(normals: Array, warp: ArrayLike) -> tuple[Array, Array]:
+    """Return the warp in planes, and the planes' normals, as unit vectors, each (m, 3).
+
+    A plane that is perpendicular to the warp, such as at a pole of a closed surface, takes the projection of the
+    direction with the components of the warp moved by one.
+
+    Args:
+        normals: normals of the planes, of any length, shape (m, 3).
+        warp: direction of the warp, shape (3,).
+
+    Raises:
+        ValueError: if every plane is perpendicular to the warp, or a normal is zero.
+    """
+    length = np.sqrt(dot_rows(normals, normals))
+    flat = np.flatnonzero(~(length > 0.0))
+    if flat.size:
+        raise ValueError(f"triangle {flat[0]} has no area")
+    unit = normals / length[:, None]
+    direction = np.asarray(warp, dtype=np.float64)
+    along, is_lost = _projection(direction, unit)
+    if is_lost.all() and len(is_lost):
+        raise ValueError(
+            f"the sheet is perpendicular to material.warp_direction {direction.tolist()}; choose a direction in its "
+            "plane"
+        )
+    if is_lost.any():
+        along[is_lost] = _projection(np.roll(direction, 1), unit[is_lost])[0]
+    return along, unit
+
+
+def _projection(direction: Array, normals: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the unit vectors along a direction in planes, (m, 3), and a mask of planes perpendicular to it, (m,)."""
+    rows = np.broadcast_to(direction, normals.shape)
+    along = rows - dot_rows(rows, normals)[:, None] * normals
+    length, full_length = np.sqrt(dot_rows(along, along)), np.sqrt(dot_rows(rows, rows))
+    is_lost = ~(length > MIN_SINE * full_length)
+    return along / np.where(is_lost, 1.0, length)[:, None], is_lost
 
 
 def membrane(
@@ -153,10 +172,12 @@ def membrane(
     )
 
 
-def _dot(a: Array, b: Array) -> Array:
+def dot_rows(a: Array, b: Array) -> Array:
+    """Return the scalar products of rows, shape (m,)."""
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross_rows(a: Array, b: Array) -> Array:
+    """Return the vector products of rows, shape (m, 3)."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=1)
