@@ -31,7 +31,7 @@ from cloth_sim_ros.physics.model.sheets.material import Threads, grid_threads
 from cloth_sim_ros.physics.model.sheets.merging import component_labels
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
-from cloth_sim_ros.physics.model.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.physics.model.sheets.surface import checkerboards, grid_cells, grid_hinges
 from cloth_sim_ros.physics.plan.gripper_path import normalized, to_body_frame
 from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.scene import sections
@@ -449,21 +449,25 @@ def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[F
         threads, subtracted = axial_threads(scene, sheet)
         bend = _grid_families(scene, sheet, threads).get("bend")
         springs = sheet.springs({"bend": bend}) if bend else []
-    material = scene.material
+    material, triangles, share = scene.material, sheet.triangles(), 1.0
+    if isinstance(sheet, GridSheet) and sheet.layout == "both":
+        # With a single diagonal a cell may fold shut along it, and the hinge of the other one degenerates.
+        triangles, share = np.concatenate(checkerboards(sheet.rows, sheet.columns)), 0.5
     try:
-        triangles = membrane(
+        force = membrane(
             sheet.positions(),
-            sheet.triangles(),
+            triangles,
             fabric_moduli(scene),
             warp=material.warp_direction,
             k_d0=material.damping,
             density=material.density,
             viscosity=material.viscosity,
             subtracted=subtracted,
+            share=share,
         )
     except ValueError as error:
         raise ParameterError(f"membrane.model triangles: {error}") from error
-    return [triangles, *springs]
+    return [force, *springs]
 
 
 def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[Threads, tuple[float, float]]:

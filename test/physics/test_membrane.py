@@ -221,6 +221,20 @@ def test_poisson_ratio_beyond_the_moduli_is_refused():
         FabricModuli(warp=100.0, weft=400.0, shear=1.0, poisson_ratio=0.5)
 
 
+def test_grid_of_both_diagonals_has_two_layers():
+    energies, areas = [], []
+    x = None
+    for layout in ("both", "alternating"):
+        scene = Scene.from_parameters({"membrane.model": "triangles", "cloth.shear_layout": layout})
+        model = scene.model()
+        if x is None:
+            x = np.ascontiguousarray(np.diag([1.02, 0.97, 1.0]) @ scene.sheet.positions().T)
+        energies.append(alone(model.force("membrane"), masses=model.masses).energies(0.0, x, None)[1])
+        areas.append(model.force("membrane").areas.sum())
+    assert energies[0] == pytest.approx(energies[1], rel=1e-9)
+    assert areas == pytest.approx([1.0, 1.0])
+
+
 def test_bending_springs_leave_stiffness_to_the_triangles():
     with pytest.raises(ValueError, match="no stiffness is left"):
         sheet_membrane(subtracted=(400.0, 400.0))

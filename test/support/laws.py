@@ -177,8 +177,8 @@ def membrane(x, v, triangles, corners, moduli, viscosities):
     tensors = [
         np.array([[c11, c12, 0.0], [c12, c22, 0.0], [0.0, 0.0, c33]]) for c11, c12, c22, c33 in (moduli, viscosities)
     ]
-    for triangle, rest in zip(triangles, corners, strict=True):
-        sides = np.stack((rest[1] - rest[0], rest[2] - rest[0]), axis=1)
+    for triangle, points in zip(triangles, corners, strict=True):
+        sides = np.stack((points[1] - points[0], points[2] - points[0]), axis=1)
         shapes = slopes @ np.linalg.inv(sides)
         area = 0.5 * abs(np.linalg.det(sides))
         gradient, rate = x[:, triangle] @ shapes, v[:, triangle] @ shapes

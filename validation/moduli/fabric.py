@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Strips cut at angles to the warp against laminate theory, and affine patches.
 
-A strip under a uniform traction at its ends, free to shear, has the modulus (Jones, Mechanics of Composite Materials,
-1999, equation 2.97), θ its angle to the warp:
+A strip has a uniform traction at its ends and is free to shear. Its modulus at the angle θ to the warp is this one
+(Jones, Mechanics of Composite Materials, 1999, equation 2.97).
 
     1/E(θ) = cos⁴θ / E1 + (1/G - 2 ν/E1) cos²θ sin²θ + sin⁴θ / E2.
 
@@ -180,11 +180,11 @@ def _mesh_file(mesh: str, cells: int, length: float, seed: int) -> bytes:
 
 def _equilateral_points(cells: int, length: float) -> Array:
     """Rows of points half a side apart, of triangles that are equilateral but for the rounding to the length."""
-    side = WIDTH / cells
-    rows = round(length / (side * math.sqrt(0.75)))
+    spacing = WIDTH / cells
+    rows = round(length / (spacing * math.sqrt(0.75)))
     points = []
     for row in range(rows + 1):
-        inner = np.arange(cells + 1) * side if row % 2 == 0 else (np.arange(cells) + 0.5) * side
+        inner = np.arange(cells + 1) * spacing if row % 2 == 0 else (np.arange(cells) + 0.5) * spacing
         across = inner if row % 2 == 0 else np.concatenate(([0.0], inner, [WIDTH]))
         points += [(float(x), row * length / rows) for x in across]
     return np.array(points)
@@ -192,12 +192,12 @@ def _equilateral_points(cells: int, length: float) -> Array:
 
 def _irregular_points(cells: int, length: float, seed: int) -> Array:
     """Points of a grid of cells that are moved by up to a third of a side, those of the border along it."""
-    side = WIDTH / cells
-    rows = round(length / side)
+    spacing = WIDTH / cells
+    rows = round(length / spacing)
     x, y = (
         axis.ravel() for axis in np.meshgrid(np.linspace(0.0, WIDTH, cells + 1), np.linspace(0.0, length, rows + 1))
     )
-    moves = side / 3.0 * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, len(x)))
+    moves = spacing / 3.0 * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, len(x)))
     on_side = (x == 0.0) | (x == WIDTH)
     on_end = (y == 0.0) | (y == length)
     return np.stack((x + moves[0] * ~on_side, y + moves[1] * ~on_end), axis=1)

@@ -177,9 +177,9 @@ private:
     template <class V>
     static CLOTH_INLINE V decoupled(const Moduli<V>& c, int k) {
         if (k == 2) return c.shear;
-        const V own = k == 0 ? c.warp : c.weft, other = k == 0 ? c.weft : c.warp;
+        const V modulus = k == 0 ? c.warp : c.weft, other = k == 0 ? c.weft : c.warp;
         const auto both = other > V{};
-        return own + absolute(c.coupling) * root(select(both, own / select(both, other, splat<V>(1)), V{}));
+        return modulus + absolute(c.coupling) * root(select(both, modulus / select(both, other, splat<V>(1)), V{}));
     }
     template <class V>
     static CLOTH_INLINE Sym3<V> sum(const Sym3<V>& a, const Sym3<V>& b) {

@@ -112,7 +112,11 @@ def _refuse_folder(folder: Path) -> None:
 def hint_at_folder(error: str, values: Mapping[str, Any], path: str | Path) -> str:
     """Return a hint on the working directory if an error names a missing relative file; otherwise an empty text."""
     for parameter, value in values.items():
-        is_file = parameter in (*files.FILE_PARAMETERS, "robot.description_file") or parameter.endswith(".mesh")
+        is_file = parameter in (
+            *files.FILE_PARAMETERS,
+            "material.fabric",
+            "robot.description_file",
+        ) or parameter.endswith(".mesh")
         named = is_file and isinstance(value, str) and value
         if not named or os.path.isabs(value) or f"'{value}'" not in error:
             continue

@@ -20,9 +20,9 @@ struct MembraneSetup {
         using T = scalar<V>;
         const double numbers[] = {16.0, 15.0, -12.0, 20.0, 1e-3, 4e-5};
         const double common[] = {300.0, 40.0, 120.0, 30.0, 9.0, 1.0, 5.0, 2.0};
-        V own[6];
-        for (int k = 0; k < 6; ++k) own[k] = splat<V>(T(numbers[k]));
-        return Membrane::make_params<V>(own, common);
+        V values[6];
+        for (int k = 0; k < 6; ++k) values[k] = splat<V>(T(numbers[k]));
+        return Membrane::make_params<V>(values, common);
     }
     static void shape(Random& random, Vec3<double>* d) {
         d[0] = 0.05 * random.vector();

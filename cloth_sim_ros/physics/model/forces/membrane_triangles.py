@@ -17,11 +17,11 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part
 class MembraneTriangles(EngineForce):
     """Orthotropic St. Venant-Kirchhoff triangles; docs/derivations/membrane.md derives them.
 
-    a and b are the present images of unit vectors along warp and weft, Green's strains e1 = (a·a - 1)/2 and
-    e2 = (b·b - 1)/2, shear γ = a·b. The energy per area at rest is C11 e1²/2 + C12 e1 e2 + C22 e2²/2 + G γ²/2. Damping
-    adds the stress D (ė1, ė2, γ̇) times the size of the triangle, which is sqrt(2 area), or 1 m with `sized` False.
-    The force has no resultant and no torque. It resists compression until the triangle is shorter than 1/sqrt(3), then
-    less and less; a collapsed triangle is an unstable equilibrium without a preferred side.
+    a and b are the present images of unit vectors along warp and weft. Green's strains are e1 = (a·a - 1)/2 and e2 =
+    (b·b - 1)/2, the shear is γ = a·b. The energy per area at rest is C11 e1²/2 + C12 e1 e2 + C22 e2²/2 + G γ²/2.
+    Damping adds the stress D (ė1, ė2, γ̇), times the size sqrt(2 area) of the triangle unless `sized` is False. The
+    force has no resultant and no torque. It resists compression most at 1/sqrt(3) of the rest length, then less. A
+    collapsed triangle is an unstable equilibrium without a preferred side.
 
     Args:
         triangles: particles of each triangle, shape (m, 3).
@@ -29,6 +29,7 @@ class MembraneTriangles(EngineForce):
         moduli: C11, C12, C22, G [N/m], shape (4,); positive semidefinite.
         viscosities: D11, D12, D22, D33, shape (4,), positive semidefinite, in N s/m², or N s/m with `sized` False.
         sized: whether damping grows with the size of the triangle.
+        share: fraction of its area that a triangle stands for, 0.5 if two layers of triangles cover the sheet.
         name: the force's name in a model.
 
     Raises:
@@ -44,6 +45,7 @@ class MembraneTriangles(EngineForce):
         moduli: ArrayLike,
         viscosities: ArrayLike = (0.0, 0.0, 0.0, 0.0),
         sized: bool = True,
+        share: float = 1.0,
         name: str = "membrane",
     ) -> None:
         self.name = name
@@ -67,9 +69,9 @@ class MembraneTriangles(EngineForce):
         flat = np.flatnonzero(~(np.abs(determinant) > 0.0))
         if flat.size:
             raise ValueError(f"triangle {flat[0]} of '{name}' has no area at rest; its corners must not be in line")
-        #: Area of each triangle at rest [m^2], shape (m,).
-        self.areas: Array = 0.5 * np.abs(determinant)
-        size = np.sqrt(2.0 * self.areas) if sized else np.ones_like(self.areas)
+        size = np.sqrt(np.abs(determinant)) if sized else np.ones_like(determinant)
+        #: Area at rest that each triangle stands for [m^2], shape (m,).
+        self.areas: Array = 0.5 * share * np.abs(determinant)
         damping = self.areas * size if self.damped else np.zeros_like(self.areas)
         gradients = y2 / determinant, -y1 / determinant, -x2 / determinant, x1 / determinant
         #: p1, p2, q1, q2 [1/m], area and damping of each triangle as in the engine's law, shape (m, 6).

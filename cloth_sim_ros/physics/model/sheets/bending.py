@@ -12,8 +12,8 @@ l. The energy per cell is ½ D hx hy (κ_xx² + κ_yy² + 2 κ_xy²), a plate wi
 
     k_θ = D hy/hx,   D hx/hy,   2 D hx hy/l².
 
-Threads make D_x along rows and D_y along columns differ. The three constants then have D_x, D_y and sqrt(D_x D_y), the
-usual torsional stiffness of an orthotropic plate without Poisson's ratio (Timoshenko and Woinowsky-Krieger, Theory of
+Threads make D_x along rows and D_y along columns differ. The three constants then have D_x, D_y and sqrt(D_x D_y).
+The last one is the usual torsional stiffness of an orthotropic plate (Timoshenko and Woinowsky-Krieger, Theory of
 Plates and Shells, 1959, section 86).
 
 *One triangulation of a grid.* Take a strip along the rows under the moment M per width. By statics the hinge of an edge

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Membrane of a sheet from the moduli of a fabric and the direction of its threads.
 
-A strip cut along the warp has Young's modulus E1 and narrows by ν times its strain. One along the weft has E2. With the
-symmetry E1 ν21 = E2 ν12 and ν = ν12 the plane stress law is
+A strip cut along the warp has Young's modulus E1 and narrows by ν times its strain. One along the weft has E2. The law
+of plane stress is symmetric, E1 ν21 = E2 ν12 with ν = ν12.
 
     C11 = E1 / (1 - ν² E2/E1),   C22 = E2 / (1 - ν² E2/E1),   C12 = ν C22.
 
-It is positive definite if ν² < E1/E2. Damping with the dimensionless k_d0 is that of springs of the same sheet: the
-viscosity of a thread of modulus C on cells of size l is k_d0 l sqrt(ρ C), ρ the mass per area. The coupling has the
+It is positive definite if ν² < E1/E2. Damping with the dimensionless k_d0 is that of springs of the same sheet. A
+thread of modulus C on cells of size l has the viscosity k_d0 l sqrt(ρ C), ρ the mass per area. The coupling has the
 geometric mean, so that D = S C S with a diagonal S is as definite as C.
 """
 
@@ -57,9 +57,8 @@ class FabricModuli:
 
     def stiffness(self) -> tuple[float, float, float, float]:
         """Return C11, C12, C22 and G [N/m]."""
-        rest = 1.0 - self.coupling_square
-        weft = self.weft / rest
-        return self.warp / rest, self.poisson_ratio * weft, weft, self.shear
+        weft = self.weft / (1.0 - self.coupling_square)
+        return self.warp / (1.0 - self.coupling_square), self.poisson_ratio * weft, weft, self.shear
 
 
 def thread_coordinates(positions: ArrayLike, triangles: NDArray[np.int64], warp: ArrayLike) -> Array:
@@ -88,8 +87,8 @@ def thread_coordinates(positions: ArrayLike, triangles: NDArray[np.int64], warp:
 def along_plane(normals: Array, warp: ArrayLike) -> tuple[Array, Array]:
     """Return the warp in planes, and the planes' normals, as unit vectors, each (m, 3).
 
-    A plane that is perpendicular to the warp, such as at a pole of a closed surface, takes the projection of the
-    direction with the components of the warp moved by one.
+    A plane may be perpendicular to the warp, such as at a pole of a closed surface. It takes the projection of another
+    direction, with the components of the warp moved by one.
 
     Args:
         normals: normals of the planes, of any length, shape (m, 3).
@@ -104,14 +103,14 @@ def along_plane(normals: Array, warp: ArrayLike) -> tuple[Array, Array]:
         raise ValueError(f"triangle {flat[0]} has no area")
     unit = normals / length[:, None]
     direction = np.asarray(warp, dtype=np.float64)
-    along, is_lost = _projection(direction, unit)
-    if is_lost.all() and len(is_lost):
+    along, is_perpendicular = _projection(direction, unit)
+    if is_perpendicular.all() and len(is_perpendicular):
         raise ValueError(
             f"the sheet is perpendicular to material.warp_direction {direction.tolist()}; choose a direction in its "
             "plane"
         )
-    if is_lost.any():
-        along[is_lost] = _projection(np.roll(direction, 1), unit[is_lost])[0]
+    if is_perpendicular.any():
+        along[is_perpendicular] = _projection(np.roll(direction, 1), unit[is_perpendicular])[0]
     return along, unit
 
 
@@ -120,8 +119,8 @@ def _projection(direction: Array, normals: Array) -> tuple[Array, NDArray[np.boo
     rows = np.broadcast_to(direction, normals.shape)
     along = rows - dot_rows(rows, normals)[:, None] * normals
     length, full_length = np.sqrt(dot_rows(along, along)), np.sqrt(dot_rows(rows, rows))
-    is_lost = ~(length > MIN_SINE * full_length)
-    return along / np.where(is_lost, 1.0, length)[:, None], is_lost
+    is_perpendicular = ~(length > MIN_SINE * full_length)
+    return along / np.where(is_perpendicular, 1.0, length)[:, None], is_perpendicular
 
 
 def membrane(
@@ -134,6 +133,7 @@ def membrane(
     density: float,
     viscosity: float = 0.0,
     subtracted: tuple[float, float] = (0.0, 0.0),
+    share: float = 1.0,
 ) -> MembraneTriangles:
     """Return the membrane of a sheet.
 
@@ -145,6 +145,7 @@ def membrane(
         k_d0: dimensionless damping.
         density: mass per area [kg/m^2].
         viscosity: viscosity along the warp [N s/m], all others in proportion to the stiffness; 0 uses k_d0.
+        share: fraction of its area that a triangle stands for.
         subtracted: stiffness along warp and weft that other springs of the sheet add [N/m].
 
     Raises:
@@ -163,12 +164,11 @@ def membrane(
         viscosities = stiffness * (viscosity / moduli.warp)
     else:
         unit = k_d0 * math.sqrt(density)
-        own = unit * np.sqrt(stiffness)
-        own[1] = unit * coupling / math.sqrt(math.sqrt(warp_stiffness * weft_stiffness))
-        viscosities = own
+        viscosities = unit * np.sqrt(stiffness)
+        viscosities[1] = unit * coupling / math.sqrt(math.sqrt(warp_stiffness * weft_stiffness))
     corners = thread_coordinates(positions, triangles, warp)
     return MembraneTriangles(
-        triangles, corners, moduli=stiffness, viscosities=viscosities, sized=not viscosity, name="membrane"
+        triangles, corners, moduli=stiffness, viscosities=viscosities, sized=not viscosity, share=share
     )
 
 

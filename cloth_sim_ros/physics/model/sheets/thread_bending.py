@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hinge constants of a mesh with different bending moduli along warp and weft.
 
-The isotropic constants (`bending.shape_hinge_constants`) get the factor u c² + v s², with the components c and s of the
-fold's direction along warp and weft. A flat sheet with the curvatures κ = (κ11, κ22, 2 κ12) along warp and weft folds
+The isotropic constants (`bending.shape_hinge_constants`) get the factor u c² + v s². The direction of the fold has the
+components c and s along warp and weft. A flat sheet with the curvatures κ = (κ11, κ22, 2 κ12) along warp and weft folds
 hinge i by F_i κ. The energy per area is ½ κ'C κ with C = Σ k_i F_i F_i' / area. A strip along the warp with free edges
 has the modulus 1 / (C⁻¹)11, one along the weft 1 / (C⁻¹)22. The factors u and v make these two those of the fabric,
-relative to the isotropic ones. C is linear in u and v, and
+relative to the isotropic ones. C is linear in u and v. This iteration converges, with C0 = C at u = v = 1.
 
-    u ← u D1 (C⁻¹)11 / (C0⁻¹)11,   v ← v D2 (C⁻¹)22 / (C0⁻¹)22,   C0 = C at u = v = 1,
+    u ← u D1 (C⁻¹)11 / (C0⁻¹)11,   v ← v D2 (C⁻¹)22 / (C0⁻¹)22
 
-converges to them. Two factors leave the twist as it comes out. Independent hinges represent a ratio of about 3;
+Two factors leave the twist as it comes out. Independent hinges represent a ratio of about 3;
 docs/bending.md has the measured figures.
 """
 
@@ -53,15 +53,15 @@ def thread_factors(
     along_warp, along_weft = (_tensor(folds, constants * part * part) for part in (cosine, sine))
     reference = _strip_compliances([a + b for a, b in zip(along_warp, along_weft, strict=True)])
     factors = list(moduli)
-    found = [0.0, 0.0]
+    reached = [0.0, 0.0]
     for _ in range(_ITERATIONS):
         tensor = [factors[0] * a + factors[1] * b for a, b in zip(along_warp, along_weft, strict=True)]
         compliances = _strip_compliances(tensor)
-        found = [r / c for r, c in zip(reference, compliances, strict=True)]
-        factors = [f * d / m for f, d, m in zip(factors, moduli, found, strict=True)]
+        reached = [r / c for r, c in zip(reference, compliances, strict=True)]
+        factors = [f * d / m for f, d, m in zip(factors, moduli, reached, strict=True)]
         lowest = _MIN_FRACTION * max(factors)
         factors = [max(factor, lowest) for factor in factors]
-    for thread, modulus, requested in zip(("warp", "weft"), found, moduli, strict=True):
+    for thread, modulus, requested in zip(("warp", "weft"), reached, moduli, strict=True):
         if not abs(modulus - requested) <= MAX_DEVIATION * requested:
             raise ValueError(
                 f"along the {thread} the hinges of this mesh reach {modulus:.3g} N m; choose a ratio of at most about "
