@@ -464,6 +464,7 @@ def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[F
             viscosity=material.viscosity,
             subtracted=subtracted,
             share=share,
+            grid=(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else None,
         )
     except ValueError as error:
         raise ParameterError(f"membrane.model triangles: {error}") from error

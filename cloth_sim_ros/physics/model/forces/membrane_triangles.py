@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import finite, indices
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.model.parts import ElementList, Part
+from cloth_sim_ros.physics.model.parts import ElementList, Part, SpringGrid
 
 
 class MembraneTriangles(EngineForce):
@@ -30,6 +30,8 @@ class MembraneTriangles(EngineForce):
         viscosities: D11, D12, D22, D33, shape (4,), positive semidefinite, in N s/m², or N s/m with `sized` False.
         sized: whether damping grows with the size of the triangle.
         share: fraction of its area that a triangle stands for, 0.5 if two layers of triangles cover the sheet.
+        grid: rows and columns of particles if the sheet is a grid. The engine then evaluates its hinges and panels by
+            rows.
         name: the force's name in a model.
 
     Raises:
@@ -46,6 +48,7 @@ class MembraneTriangles(EngineForce):
         viscosities: ArrayLike = (0.0, 0.0, 0.0, 0.0),
         sized: bool = True,
         share: float = 1.0,
+        grid: tuple[int, int] | None = None,
         name: str = "membrane",
     ) -> None:
         self.name = name
@@ -64,6 +67,7 @@ class MembraneTriangles(EngineForce):
         self.moduli = _definite(f"moduli of '{name}'", moduli)
         self.viscosities = _definite(f"viscosities of '{name}'", viscosities)
         self.damped = bool(np.any(self.viscosities))
+        self.grid = grid
         (x1, y1), (x2, y2) = (points[:, 1] - points[:, 0]).T, (points[:, 2] - points[:, 0]).T
         determinant = x1 * y2 - x2 * y1
         flat = np.flatnonzero(~(np.abs(determinant) > 0.0))
@@ -82,11 +86,12 @@ class MembraneTriangles(EngineForce):
         if not len(triangles):
             return ()
         shared = np.concatenate([self.moduli, self.viscosities])
-        return (
-            ElementList(
-                kind="membrane", particles=triangles, coefficients=self.coefficients, shared_coefficients=shared
-            ),
+        elements = ElementList(
+            kind="membrane", particles=triangles, coefficients=self.coefficients, shared_coefficients=shared
         )
+        if self.grid is None:
+            return (elements,)
+        return SpringGrid(rows=self.grid[0], columns=self.grid[1], families=()), elements
 
 
 def _definite(name: str, numbers: ArrayLike) -> Array:

@@ -134,6 +134,7 @@ def membrane(
     viscosity: float = 0.0,
     subtracted: tuple[float, float] = (0.0, 0.0),
     share: float = 1.0,
+    grid: tuple[int, int] | None = None,
 ) -> MembraneTriangles:
     """Return the membrane of a sheet.
 
@@ -146,6 +147,7 @@ def membrane(
         density: mass per area [kg/m^2].
         viscosity: viscosity along the warp [N s/m], all others in proportion to the stiffness; 0 uses k_d0.
         share: fraction of its area that a triangle stands for.
+        grid: rows and columns of a grid; None for a mesh.
         subtracted: stiffness along warp and weft that other springs of the sheet add [N/m].
 
     Raises:
@@ -168,7 +170,7 @@ def membrane(
         viscosities[1] = unit * coupling / math.sqrt(math.sqrt(warp_stiffness * weft_stiffness))
     corners = thread_coordinates(positions, triangles, warp)
     return MembraneTriangles(
-        triangles, corners, moduli=stiffness, viscosities=viscosities, sized=not viscosity, share=share
+        triangles, corners, moduli=stiffness, viscosities=viscosities, sized=not viscosity, share=share, grid=grid
     )
 
 
