@@ -12,13 +12,11 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import input_file, sections
+from cloth_sim_ros.scene.files import FABRIC, file_content, is_fabric_file
 from cloth_sim_ros.scene.parameters import declare, ros_yaml
 from cloth_sim_ros.scene.parameters.declare import Faults, ParameterError
 
-#: The parameter that names a fabric.
-PARAMETER = "material.fabric"
 _FILE = Path(__file__).with_name("fabrics.yaml")
 _FIELDS = ("title", "source", "licence", "drape_coefficient", "thickness", "parameters")
 
@@ -47,11 +45,6 @@ def fabrics() -> dict[str, Fabric]:
     return {name: _fabric(name, content) for name, content in tree.items()}
 
 
-def is_fabric_file(name: str) -> bool:
-    """Return True if a value of `material.fabric` is the path of a file, False if it is the name of a fabric."""
-    return "/" in name or name.endswith((".yaml", ".yml"))
-
-
 def fabric_parameters(
     values: Mapping[str, Any], files: Mapping[str, bytes], folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -65,18 +58,38 @@ def fabric_parameters(
     Raises:
         ParameterError: for an unknown fabric, or a file that can't be read or has invalid values.
     """
-    name = values.get(PARAMETER)
+    name = values.get(FABRIC)
     if not isinstance(name, str) or not name:
         return {}, {}
     if not is_fabric_file(name):
         if name not in fabrics():
             raise ParameterError(
-                f"{PARAMETER} is '{name}'; it must be one of {', '.join(fabrics())}, or the path of a file, e.g. "
+                f"{FABRIC} is '{name}'; it must be one of {', '.join(fabrics())}, or the path of a file, e.g. "
                 f"./{name}.yaml"
             )
         return dict(fabrics()[name].parameters), {}
-    content = files[name] if name in files else scene_files.file_content(PARAMETER, Path(folder) / name)
+    content = files[name] if name in files else file_content(FABRIC, Path(folder) / name)
     return dict(read_fabric(name, content).parameters), {name: content}
+
+
+def with_changes(values: Mapping[str, Any], changes: Mapping[str, Any], files: Mapping[str, bytes]) -> dict[str, Any]:
+    """Return all values of a scene with some changed.
+
+    A changed fabric replaces the values of the former one, and every other value that it sets.
+
+    Args:
+        values: all values of the scene by full name.
+        changes: values that replace them.
+        files: content of the files that both name.
+
+    Raises:
+        ParameterError: as `fabric_parameters`.
+    """
+    if FABRIC not in changes:
+        return {**values, **changes}
+    former = fabric_parameters(values, files)[0]
+    remaining = {name: value for name, value in values.items() if name not in former}
+    return {**remaining, **fabric_parameters(changes, files)[0], **changes}
 
 
 def read_fabric(name: str, content: bytes) -> Fabric:
@@ -92,15 +105,15 @@ def read_fabric(name: str, content: bytes) -> Fabric:
     import yaml
 
     if len(content) > input_file.MAX_TEXT:
-        raise ParameterError(f"{PARAMETER} '{name}' has {len(content)} bytes; at most {input_file.MAX_TEXT} are read")
+        raise ParameterError(f"{FABRIC} '{name}' has {len(content)} bytes; at most {input_file.MAX_TEXT} are read")
     try:
         return _fabric(name, ros_yaml.load(content.decode()))
     except UnicodeDecodeError as error:
-        raise ParameterError(f"{PARAMETER} '{name}' is no text in UTF-8: {error}") from error
+        raise ParameterError(f"{FABRIC} '{name}' is no text in UTF-8: {error}") from error
     except yaml.YAMLError as error:
-        raise ParameterError(f"{PARAMETER} '{name}' is no YAML: {error}") from error
+        raise ParameterError(f"{FABRIC} '{name}' is no YAML: {error}") from error
     except ParameterError as error:
-        raise ParameterError("\n".join(f"{PARAMETER} '{name}': {sentence}" for sentence in error.sentences)) from error
+        raise ParameterError("\n".join(f"{FABRIC} '{name}': {sentence}" for sentence in error.sentences)) from error
 
 
 def _fabric(name: str, content: Any) -> Fabric:
@@ -152,5 +165,5 @@ def _allowed() -> tuple[declare.Parameter, ...]:
         *declare.declared(sections.MembraneParameters, "membrane."),
         *declare.declared(sections.BendingParameters, "bending."),
     ]
-    refused = (PARAMETER, "bending.rest_angles")
+    refused = (FABRIC, "bending.rest_angles")
     return tuple(entry for entry in entries if entry.name not in refused)

@@ -269,7 +269,7 @@ class Scene:
             {**fabric_values, **without_surface(values), **values},
             hint=lambda name: scene_obstacles.hint(name, cls.groups()) or scene_cameras.hint(name, cls.groups()),
         )
-        content = scene_files.read(checked, {**(files or {}), **fabric_files}, folder) | fabric_files
+        content = scene_files.read(checked, {**(files or {}), **fabric_files}, folder)
         described = scene_obstacles.read(checked, names)
         owners = [*names, *cameras]
         individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), owners)}

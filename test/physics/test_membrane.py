@@ -216,6 +216,11 @@ def test_invalid_triangles_are_refused(changes, words):
         MembraneTriangles(arguments.pop("triangles"), arguments.pop("corners"), **arguments)
 
 
+def test_grid_of_another_size_is_refused():
+    with pytest.raises(ValueError, match="sheet of 5 x 6 particles, and the model has 31"):
+        alone(sheet_membrane(grid=(5, 6)), count=31)
+
+
 def test_poisson_ratio_beyond_the_moduli_is_refused():
     with pytest.raises(ValueError, match=r"must be between -0\.5 and 0\.5"):
         FabricModuli(warp=100.0, weft=400.0, shear=1.0, poisson_ratio=0.5)

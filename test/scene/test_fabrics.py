@@ -7,7 +7,7 @@ import pytest
 
 from cloth_sim_ros.physics.model.sheets.material import grid_threads
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
-from cloth_sim_ros.scene.fabrics import fabrics, read_fabric
+from cloth_sim_ros.scene.fabrics import fabrics, read_fabric, with_changes
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
@@ -203,3 +203,12 @@ def test_axial_bending_keeps_the_moduli_of_triangles():
         scene = Scene.from_parameters({"membrane.model": "triangles", "bending.model": model})
         moduli.append(scene.model().force("membrane").moduli)
     assert moduli[0] - moduli[1] == pytest.approx([4.0, 0.0, 4.0, 0.0])
+
+
+def test_changed_fabric_replaces_the_former_one():
+    before = Scene.from_parameters({"material.fabric": "denim", "material.damping": 0.2}).parameters()
+    values = with_changes(before, {"material.fabric": "wool_twill", "air.drag": 0.5}, {})
+    scene = Scene.from_parameters(values)
+    expected = Scene.from_parameters({"material.fabric": "wool_twill", "material.damping": 0.2, "air.drag": 0.5})
+    assert scene == expected, "denim's Poisson's ratio is gone"
+    assert with_changes(before, {"air.drag": 0.5}, {}) == {**before, "air.drag": 0.5}

@@ -91,6 +91,11 @@ class MembraneTriangles(EngineForce):
         )
         if self.grid is None:
             return (elements,)
+        if self.grid[0] * self.grid[1] != particle_count:
+            raise ValueError(
+                f"'{self.name}' is a sheet of {self.grid[0]} x {self.grid[1]} particles, and the model has "
+                f"{particle_count}"
+            )
         return SpringGrid(rows=self.grid[0], columns=self.grid[1], families=()), elements
 
 
