@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 from support.alone import alone, blocks, force, full, matrix, of_blocks
 
@@ -106,6 +107,26 @@ def test_bounds_of_a_flat_grid_are_tight():
         true = np.linalg.eigvalsh(0.5 * (whole + whole.T))[-1]
         assert true <= rate * (1.0 + 1e-9) <= even * (1.0 + 1e-8)
         assert rate <= 1.5 * true
+
+
+@pytest.mark.parametrize("crumpled", [0.0, 0.01])
+def test_bounds_of_an_irregular_mesh_are_tight(crumpled):
+    rng = np.random.default_rng(4)
+    points = rng.uniform(size=(60, 2))
+    triangles = Delaunay(points).simplices.astype(np.int64)
+    sides = points[triangles[:, 1:]] - points[triangles[:, :1]]
+    triangles = triangles[np.abs(np.linalg.det(sides)) > 1e-3]
+    flat = np.concatenate((points, np.zeros((len(points), 1))), axis=1)
+    built = membrane(flat, triangles, MODULI, warp=(1.0, 2.0, 0.0), k_d0=0.1, density=0.2)
+    masses = np.bincount(triangles.ravel(), np.repeat(built.areas, 3), minlength=len(points)) * 0.2 / 3.0 + 1e-4
+    plan = alone(built, masses=masses)
+    x = np.ascontiguousarray(flat.T) + crumpled * rng.standard_normal((3, len(points)))
+    inverse, still = np.tile(1.0 / np.sqrt(masses), 3), np.zeros_like(x)
+    for part, rate in zip("xv", plan.spectral_bounds(x), strict=True):
+        whole = inverse[:, None] * matrix(plan, x, still, part) * inverse
+        true = np.linalg.eigvalsh(0.5 * (whole + whole.T))[-1]
+        assert true <= rate * (1.0 + 1e-9)
+        assert rate <= 1.3 * true
 
 
 @pytest.mark.parametrize("crumpled", [0.0, 0.03])
