@@ -63,7 +63,7 @@ def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: In
         ValueError: if an argument does not fit the others. Pairs before the wrong one have then been added.
     """
     listed = _address("pairs", pairs, _INDEX, (None, 2))
-    m, numbers = len(pairs), 9 if blocks.shape[1:] == (9,) else 6
+    m, numbers = len(pairs), 9 if getattr(blocks, "shape", ())[1:] == (9,) else 6
     status = _function("cloth_band_assemble")(
         *_matrix("rows", rows),
         _address("places", places, _INDEX, (None,)),

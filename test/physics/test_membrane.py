@@ -152,6 +152,24 @@ def test_implicit_matrix_is_the_stiffness_without_compression(crumpled):
             assert assembled == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
+def test_implicit_matrix_of_a_long_strip_solves_exactly():
+    """A strip that is long enough for a factorisation from both ends."""
+    sheet = GridSheet(height=2.0, width=0.1, rows=25, columns=3, layout="alternating")
+    built = membrane(sheet.positions(), sheet.triangles(), MODULI, warp=(0.3, 1.0, 0.0), k_d0=0.1, density=0.2)
+    model = Model(sheet.masses(0.2), [built], anchors=[0, 1])
+    x = np.ascontiguousarray(1.1 * sheet.positions().T)
+    d, right = 0.02, np.random.default_rng(1).standard_normal(x.shape)
+    solved, stage = right.copy(), StageMatrix(model)
+    stage.update(0.0, x, d, {})
+    stage.solve(solved)
+    plan, still = alone(built, masses=model.masses), np.zeros_like(x)
+    whole = np.diag(np.tile(model.masses, 3)) + d * d * matrix(plan, x, still, "x") + d * matrix(plan, x, still, "v")
+    free = np.tile(model.inverse_masses > 0.0, 3)
+    expected = np.zeros(right.size)
+    expected[free] = np.linalg.solve(whole[np.ix_(free, free)], right.ravel()[free])
+    assert solved.ravel() == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
 def test_implicit_steps_agree_with_explicit_ones():
     values = {
         "cloth.resolution": [9, 8],
