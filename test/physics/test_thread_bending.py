@@ -8,7 +8,9 @@ import attrs
 import numpy as np
 import pytest
 
+from cloth_sim_ros.physics.model.sheets import thread_bending
 from cloth_sim_ros.physics.model.sheets.bending import grid_hinge_constants
+from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
 from cloth_sim_ros.physics.model.sheets.surface import Surface, grid_hinges, grid_triangles
 from cloth_sim_ros.physics.model.sheets.thread_bending import thread_factors
 
@@ -47,6 +49,23 @@ def test_strips_of_a_mesh_have_the_moduli_of_the_threads(angle, ratio, jitter, e
     turned = patch.positions @ np.array([[c, -s], [s, c]])
     plate = patterns.plate_moduli(attrs.evolve(patch, positions=turned, constants=patch.constants * factors))
     assert (plate.along_x, plate.along_y) == pytest.approx(moduli, rel=error)
+
+
+@pytest.mark.parametrize("curvature", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+def test_folds_are_those_of_a_curved_sheet(curvature):
+    """Folds measured on the surface z = (κ11 w² + κ22 f² + 2 κ12 w f) / 2 along warp w and weft f."""
+    patch = patterns.triangle_patch(0.2, size=6)
+    c, s = math.cos(0.4), math.sin(0.4)
+    warp, weft = patch.positions @ [c, s], patch.positions @ [-s, c]
+    k11, k22, twice_k12 = curvature
+    height = 1e-6 * 0.5 * (k11 * warp**2 + k22 * weft**2 + twice_k12 * warp * weft)
+    bent = np.concatenate((patch.positions, height[:, None]), axis=1)
+    flat = bent * [1.0, 1.0, 0.0]
+    # private: the folds under test
+    directions = thread_bending._fold_directions(patch.hinges, flat, (c, s, 0.0))
+    folds = thread_bending._folds(HingeShape.of(patch.hinges, flat), *directions)
+    measured = HingeShape.of(patch.hinges, bent).sine / 1e-6
+    assert np.abs(measured) == pytest.approx(np.abs(np.array(curvature) @ folds), abs=1e-4)
 
 
 def test_equal_moduli_leave_the_constants():
