@@ -71,9 +71,9 @@ def test_couplings_are_assembled_in_either_order() -> None:
     rows, dense = band.rows(3, 2), np.zeros((9, 9))
     band.assemble(rows, places, pairs, blocks, np.arange(3))
     for (a, b), block in zip(places[pairs], blocks.reshape(3, 3, 3), strict=True):
-        for place in (a, b):
-            if place >= 0:
-                dense[3 * place : 3 * place + 3, 3 * place : 3 * place + 3] += 0.5 * (block + block.T)
+        for i in (a, b):
+            if i >= 0:
+                dense[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += 0.5 * (block + block.T)
         if min(a, b) >= 0:
             dense[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] -= block
             dense[3 * b : 3 * b + 3, 3 * a : 3 * a + 3] -= block.T
