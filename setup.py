@@ -157,8 +157,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    # Files beside the code that are not Python: the sources of the engine.
-    package_data={ENGINE: list(engine.PATTERNS)},
+    # Files beside the code that are not Python: the sources of the engine, and the fabrics.
+    package_data={ENGINE: list(engine.PATTERNS), f"{NAME}.scene": ["fabrics.yaml"]},
     ext_modules=extensions(),
     cmdclass=commands,
     data_files=[

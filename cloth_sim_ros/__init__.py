@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.model.forces.gravity import Gravity
     from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
     from cloth_sim_ros.physics.model.forces.grips import Grips
+    from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
     from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
     from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
     from cloth_sim_ros.physics.model.forces.wind import Wind
@@ -64,6 +65,7 @@ _MODULES = {
     "Gravity": "physics.model.forces.gravity",
     "GridFamily": "physics.model.parts",
     "GridSprings": "physics.model.forces.grid_springs",
+    "MembraneTriangles": "physics.model.forces.membrane_triangles",
     "Grips": "physics.model.forces.grips",
     "Implicit": "physics.integrators.implicit",
     "Leapfrog": "physics.control.leapfrog",
@@ -106,6 +108,7 @@ __all__ = [
     "Grips",
     "Implicit",
     "Leapfrog",
+    "MembraneTriangles",
     "Model",
     "Motion",
     "Move",

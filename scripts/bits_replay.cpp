@@ -21,7 +21,8 @@ namespace {
 using Word = std::int64_t;
 /// The calling convention passes integers and doubles in separate registers, and a function ignores surplus arguments.
 /// Therefore one type can call all functions.
-using Function = Word (*)(Word, Word, Word, Word, Word, Word, Word, Word, Word, Word, double, double, double, double);
+using Function = Word (*)(Word, Word, Word, Word, Word, Word, Word, Word, Word, Word, Word, double, double, double,
+                          double);
 
 std::ifstream file;
 
@@ -102,7 +103,7 @@ int main(int count, char** arguments) {
         read(name.data(), static_cast<Word>(name.size()));
         const char returned = read_value<char>();
         const Word result = read_value(), size = read_value();
-        Word words[10] = {};
+        Word words[11] = {};
         double numbers[4] = {};
         int n_words = 0, n_doubles = 0;
         memories.clear();
@@ -140,8 +141,9 @@ int main(int count, char** arguments) {
             return 2;
         }
         const Word* const w = words;
-        const Word returned_value = reinterpret_cast<Function>(symbol)(
-            w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], numbers[0], numbers[1], numbers[2], numbers[3]);
+        const Word returned_value =
+            reinterpret_cast<Function>(symbol)(w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], w[10],
+                                               numbers[0], numbers[1], numbers[2], numbers[3]);
         ++total;
         ++calls[name];
         if (returned == 'h') plans[result] = returned_value;

@@ -38,6 +38,21 @@ _BENT = {"material.bending_modulus": 1e-4, "material.stretch_modulus": 100.0, "m
 #: computation is tested.
 SCENES: dict[str, dict[str, Any]] = {
     "axial springs": _GRID,
+    "membrane triangles": {
+        **_GRID,
+        "membrane.model": "triangles",
+        "bending.model": "none",
+        "material.stretch_modulus_weft": 300.0,
+        "material.poisson_ratio": 0.3,
+        "material.warp_direction": [0.6, 0.8, 0.0],
+    },
+    "implicit fabric": {
+        **_GRID,
+        "cloth.resolution": [6, 7],
+        "material.fabric": "polyester_plain",
+        "integrator": "implicit",
+        "tolerance": 1e-2,
+    },
     "opposite springs": {**_GRID, "bending.model": "opposite", "bending.stiffness": 0.5},
     "crossed springs": {**_GRID, **_BENT, "bending.model": "crossed"},
     "altitude springs": {**_GRID, **_BENT, "bending.model": "altitude", "bending.rest_angle": 0.4},

@@ -25,6 +25,7 @@ COMMANDS = {
         "delays of forces with which a wrist in another simulator stays stable",
     ),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
+    "fabric-moduli": ("validation.moduli.fabric", "strips cut at angles to the warp against laminate theory"),
 }
 
 

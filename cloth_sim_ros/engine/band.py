@@ -26,7 +26,7 @@ _FLOAT, _INDEX = np.dtype(np.float64), np.dtype(np.int64)
 _OK, _NOT_POSITIVE, _NO_MEMORY, _CHOSEN, _PAIRS, _PLACES = range(6)
 #: Arguments of its functions: p is an array, i a number.
 _FUNCTIONS = {
-    "cloth_band_assemble": "piipippipi",
+    "cloth_band_assemble": "piipippiipi",
     "cloth_band_assemble_diagonal": "piipipp",
     "cloth_band_factor": "piii",
     "cloth_band_forward": "piiip",
@@ -50,26 +50,27 @@ def rows(count: int, width: int) -> Array:
 
 
 def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: Index) -> None:
-    """Add the pair blocks B that are chosen: B on both diagonals, -B between them.
+    """Add the blocks B that are chosen: the symmetric part on both diagonals of a pair, -B between them.
 
     Args:
         rows: the matrix.
         places: block row of each particle, negative for those that do not move, shape (n,).
         pairs: particles of each pair, shape (m, 2).
-        blocks: xx, yy, zz, xy, xz, yz of each pair, shape (m, 6).
+        blocks: xx, yy, zz, xy, xz, yz of each pair, shape (m, 6); or all entries by rows, shape (m, 9).
         chosen: indices of pairs.
 
     Raises:
         ValueError: if an argument does not fit the others. Pairs before the wrong one have then been added.
     """
     listed = _address("pairs", pairs, _INDEX, (None, 2))
-    m = len(pairs)
+    m, numbers = len(pairs), 9 if getattr(blocks, "shape", ())[1:] == (9,) else 6
     status = _function("cloth_band_assemble")(
         *_matrix("rows", rows),
         _address("places", places, _INDEX, (None,)),
         len(places),
         listed,
-        _address("blocks", blocks, _FLOAT, (m, 6)),
+        _address("blocks", blocks, _FLOAT, (m, numbers)),
+        numbers,
         m,
         _address("chosen", chosen, _INDEX, (None,)),
         len(chosen),

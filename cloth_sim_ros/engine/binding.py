@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 22
+ABI = 23
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -52,6 +52,7 @@ KINDS = {
     "quad": (5, 4, 0),
     "edge_edge": (6, 4, 3),
     "point_face": (7, 4, 3),
+    "membrane": (8, 3, 6),
 }
 #: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
@@ -161,6 +162,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_eigenvalues": (_INT, _P, _I, _P),
     "cloth_derivative_product": (_INT, _P, _D, _P, _P, _P, _P, _P),
     "cloth_pair_blocks": (_INT, _P, _I, _P, _D, _D, _P),
+    "cloth_membrane_blocks": (_INT, _P, _I, _P, _D, _D, _P),
     "cloth_paths": (_INT, _I, _D, _D, *(_P,) * 8),
     "cloth_rotation_vector": (_INT, _P, _P, _P),
     "cloth_pose": (_INT, _P, _D, _P),

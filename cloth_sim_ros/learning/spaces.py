@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.learning.actions import ActionDecoder
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.scene.fabrics import with_changes
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import MAX_COORDINATE
 
@@ -42,7 +43,7 @@ def scene_of(source: Scene | str | Path | Mapping[str, Any] | None, base: Scene 
         raise ValueError(f"scene is {source!r}; give a Scene, a parameter file, or values of parameters by full name")
     if base is None:
         return Scene.from_parameters({"tolerance": TOLERANCE, **(source or {})})
-    return Scene.from_parameters({**base.parameters(), **(source or {})}, files=base.files)
+    return Scene.from_parameters(with_changes(base.parameters(), source or {}, base.files), files=base.files)
 
 
 def check_positive_integer(name: str, value: Any) -> int:

@@ -31,16 +31,24 @@ from cloth_sim_ros.physics.model.sheets.material import Threads, grid_threads
 from cloth_sim_ros.physics.model.sheets.merging import component_labels
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
-from cloth_sim_ros.physics.model.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.physics.model.sheets.surface import checkerboards, grid_cells, grid_hinges
 from cloth_sim_ros.physics.plan.gripper_path import normalized, to_body_frame
 from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.gripper_pads import pads_of
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.thread_directions import (
+    along_grid,
+    axial_stiffness,
+    bending_moduli,
+    is_oblique,
+    stretch_moduli,
+)
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.obstacles import Obstacle
     from cloth_sim_ros.physics.model.forces.contact import ContactSurface
+    from cloth_sim_ros.physics.model.sheets.membrane import FabricModuli
     from cloth_sim_ros.physics.model.sheets.rest_angles import RestAngles
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
@@ -54,6 +62,9 @@ class PhysicsScene(Protocol):
 
     @property
     def material(self) -> sections.MaterialParameters: ...
+
+    @property
+    def membrane(self) -> sections.MembraneParameters: ...
 
     @property
     def bending(self) -> sections.BendingParameters: ...
@@ -141,11 +152,11 @@ def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> Threads:
     """
     try:
         return grid_threads(
-            stretch_modulus=scene.material.stretch_modulus,
+            stretch_modulus=along_grid(scene, stretch_moduli(scene), "material.stretch_modulus"),
             shear_modulus=scene.material.shear_modulus,
             spacing=sheet.spacing,
             layout=sheet.layout,
-            bend_stiffness=scene.bending.stiffness if scene.bending.model == "axial" else 0.0,
+            bend_stiffness=along_grid(scene, axial_stiffness(scene), "bending.stiffness"),
         )
     except ValueError as error:
         raise ParameterError(str(error)) from error
@@ -418,14 +429,88 @@ def build_plan(scene: PhysicsScene) -> Plan:
     return compile(build_model(scene))
 
 
-def _grid_families(scene: PhysicsScene, sheet: GridSheet) -> dict[str, list[GridFamily]]:
+def _grid_families(scene: PhysicsScene, sheet: GridSheet, threads: Threads) -> dict[str, list[GridFamily]]:
     material = scene.material
     return sheet.families(
-        grid_threads_of(scene, sheet),
+        threads,
         k_d0=material.damping,
         density=material.density,
         retardation=material.viscosity / material.stretch_modulus,
     )
+
+
+def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[Force]:
+    """Build the triangles, and the axial springs of bending of a grid, whose stiffness the triangles leave out."""
+    from cloth_sim_ros.physics.model.sheets.membrane import membrane
+
+    springs: list[GridSprings] = []
+    subtracted = (0.0, 0.0)
+    if isinstance(sheet, GridSheet) and scene.bending.model == "axial":
+        threads, subtracted = axial_threads(scene, sheet)
+        bend = _grid_families(scene, sheet, threads).get("bend")
+        springs = sheet.springs({"bend": bend}) if bend else []
+    material, triangles, share = scene.material, sheet.triangles(), 1.0
+    if isinstance(sheet, GridSheet) and sheet.layout == "both":
+        # With a single diagonal a cell may fold shut along it, and the hinge of the other one degenerates.
+        triangles, share = np.concatenate(checkerboards(sheet.rows, sheet.columns)), 0.5
+    try:
+        force = membrane(
+            sheet.positions(),
+            triangles,
+            fabric_moduli(scene),
+            warp=material.warp_direction,
+            k_d0=material.damping,
+            density=material.density,
+            viscosity=material.viscosity,
+            subtracted=subtracted,
+            share=share,
+            grid=(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else None,
+        )
+    except ValueError as error:
+        raise ParameterError(f"membrane.model triangles: {error}") from error
+    return [force, *springs]
+
+
+def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[Threads, tuple[float, float]]:
+    """Return the axial threads of a grid without edges and diagonals, and the stiffness that they add along warp and
+    weft [N/m].
+
+    Raises:
+        ParameterError: if they are not along warp and weft.
+    """
+    warp, weft = axial_stiffness(scene)
+    if is_oblique(scene) and (warp or weft):
+        raise ParameterError(
+            f"bending.model axial follows the grid's rows and columns, and material.warp_direction is "
+            f"{list(scene.material.warp_direction)}; choose crossed, altitude or none, or another direction"
+        )
+    hx, hy = sheet.spacing
+    along_rows, along_columns = along_grid(scene, (warp, weft), "bending.stiffness")
+    threads = Threads(
+        along_rows=0.0,
+        along_columns=0.0,
+        diagonal=0.0,
+        bend_along_rows=along_rows * hy,
+        bend_along_columns=along_columns * hx,
+        poisson_ratio=scene.material.poisson_ratio,
+    )
+    return threads, (2.0 * warp, 2.0 * weft)
+
+
+def fabric_moduli(scene: PhysicsScene) -> FabricModuli:
+    """Return the moduli of the triangles of a scene.
+
+    Raises:
+        ParameterError: for a Poisson's ratio that the moduli exclude.
+    """
+    from cloth_sim_ros.physics.model.sheets.membrane import FabricModuli
+
+    warp, weft = stretch_moduli(scene)
+    material = scene.material
+    try:
+        return FabricModuli(warp=warp, weft=weft, shear=material.shear_modulus, poisson_ratio=material.poisson_ratio)
+    except ValueError as error:
+        raise ParameterError(f"material.{error}") from error
 
 
 def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Force]:
@@ -434,8 +519,10 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
     existing = None
     if isinstance(sheet, RawSprings):
         forces, existing = [sheet.term], sheet.term.pairs[sheet.term.rest_length > 0.0]
+    elif scene.membrane.model == "triangles":
+        forces = membrane_forces(scene, sheet)
     elif isinstance(sheet, GridSheet):
-        forces = [*sheet.springs(_grid_families(scene, sheet))]
+        forces = [*sheet.springs(_grid_families(scene, sheet, grid_threads_of(scene, sheet)))]
     else:
         forces = [
             sheet.springs(
@@ -511,11 +598,24 @@ def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: ND
         # The hinges of both triangulations are used. Therefore the sheet bends alike both ways and does not twist.
         hinges = grid_hinges(sheet.rows, sheet.columns)
         options["hinge_constants"] = calibration.grid_hinge_constants(
-            hinges, columns=sheet.columns, spacing=sheet.spacing, bending_modulus=modulus
+            hinges,
+            columns=sheet.columns,
+            spacing=sheet.spacing,
+            bending_modulus=along_grid(scene, bending_moduli(scene), "material.bending_modulus"),
         )
     else:
         hinges = sheet.surface.hinges
-        options["hinge_constants"] = calibration.mesh_hinge_constants(hinges, rest_positions, bending_modulus=modulus)
+        warp, weft = bending_moduli(scene)
+        isotropic = modulus if warp == weft else 1.0
+        constants = calibration.mesh_hinge_constants(hinges, rest_positions, bending_modulus=isotropic)
+        if warp != weft:
+            from cloth_sim_ros.physics.model.sheets.thread_bending import thread_factors
+
+            direction = scene.material.warp_direction
+            constants = constants * thread_factors(
+                hinges, rest_positions, constants, moduli=(warp, weft), warp=direction
+            )
+        options["hinge_constants"] = constants
     return [
         *calibration.bending_terms(
             model,  # type: ignore[arg-type]

@@ -18,6 +18,8 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Parameters that name a file.
 FILE_PARAMETERS = ("cloth.mesh", "cloth.springs", "bending.rest_angles", "initial_state")
+#: Parameter that names a fabric, or the file of one.
+FABRIC = "material.fabric"
 #: End of the name of a parameter that names an obstacle's file.
 _MESH_SUFFIX = ".mesh"
 #: Largest total size of the files of a scene [bytes]. Recordings hold these files, and readers accept that size.
@@ -37,9 +39,9 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
     """
     content: dict[str, bytes] = {}
     mesh_parameters = [name for name in values if name.endswith(_MESH_SUFFIX) and name not in FILE_PARAMETERS]
-    for parameter in (*FILE_PARAMETERS, *mesh_parameters):
+    for parameter in (*FILE_PARAMETERS, FABRIC, *mesh_parameters):
         name = values.get(parameter)
-        if not isinstance(name, str) or not name:
+        if not isinstance(name, str) or not name or (parameter == FABRIC and not is_fabric_file(name)):
             continue
         content[name] = known[name] if name in known else file_content(parameter, Path(folder) / name)
         n_bytes = integer_sum(map(len, content.values()))
@@ -48,6 +50,11 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
                 f"{parameter} '{name}': the files of the scene have {n_bytes} bytes; at most {MAX_BYTES} are taken"
             )
     return content
+
+
+def is_fabric_file(name: str) -> bool:
+    """Return True if a value of `material.fabric` is the path of a file, False if it is the name of a fabric."""
+    return "/" in name or name.endswith((".yaml", ".yml"))
 
 
 def file_content(parameter: str, path: Path) -> bytes:

@@ -87,7 +87,7 @@ def _elements(scene: Scene) -> tuple[Any, ...]:
     pads = gripper.pad_size, gripper.opening, gripper.force, gripper.speed, gripper.friction
     pinching = (scene.pinching, pads) if scene.pinching else None
     contact = (obstacles, scene.contact, pinching) if obstacles or pinching or scene.contact.self_ else None
-    return scene.cloth, scene.material, scene.bending, scene.grippers, panels, contact
+    return scene.cloth, scene.material, scene.membrane, scene.bending, scene.grippers, panels, contact
 
 
 def _uniform(scene: Scene) -> tuple[Any, ...]:

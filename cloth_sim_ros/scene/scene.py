@@ -25,7 +25,7 @@ from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import SleepState
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import cameras as scene_cameras
-from cloth_sim_ros.scene import coverage, gripper_parameters, keypoints, limits, relaxation, sections
+from cloth_sim_ros.scene import coverage, fabrics, gripper_parameters, keypoints, limits, relaxation, sections
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import obstacles as scene_obstacles
@@ -46,6 +46,7 @@ from cloth_sim_ros.scene.sections import (
     DiagnosticsParameters,
     GripperParameters,
     MaterialParameters,
+    MembraneParameters,
     PointsParameters,
     RecordParameters,
     RobotParameters,
@@ -80,6 +81,7 @@ class Scene:
     )
     cloth: ClothParameters = section(ClothParameters)
     material: MaterialParameters = section(MaterialParameters)
+    membrane: MembraneParameters = section(MembraneParameters)
     bending: BendingParameters = section(BendingParameters)
     gravity: tuple[float, ...] = parameter(
         "double[]",
@@ -261,12 +263,13 @@ class Scene:
             ParameterError: for an unknown name, an invalid value, or a file that can't be read.
         """
         names, cameras = scene_obstacles.described(values, cls.groups()), scene_cameras.named(values, cls.groups())
+        fabric_values, fabric_files = fabrics.fabric_parameters(values, files or {}, folder)
         checked = parameters.check(
             cls.declared_for(values),
-            {**without_surface(values), **values},
+            {**fabric_values, **without_surface(values), **values},
             hint=lambda name: scene_obstacles.hint(name, cls.groups()) or scene_cameras.hint(name, cls.groups()),
         )
-        content = scene_files.read(checked, files or {}, folder)
+        content = scene_files.read(checked, {**(files or {}), **fabric_files}, folder)
         described = scene_obstacles.read(checked, names)
         owners = [*names, *cameras]
         individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), owners)}
@@ -411,14 +414,16 @@ class Scene:
             ParameterError: if the moduli can't be met, or the cloth is no grid.
         """
         sheet = self.sheet
-        if not isinstance(sheet, GridSheet):
-            raise ParameterError("only a grid has threads; this cloth is a mesh or raw springs")
+        if not isinstance(sheet, GridSheet) or self.membrane.model == "triangles":
+            raise ParameterError("only a grid of springs has threads; this cloth is a mesh, triangles or raw springs")
         return grid_threads_of(self, sheet)
 
     @property
     def poisson_ratio(self) -> float | None:
         """Poisson's ratio of the sheet along its axes, as network and moduli determine it; None for raw springs."""
         sheet = self.sheet
+        if self.membrane.model == "triangles":
+            return self.material.poisson_ratio
         if isinstance(sheet, GridSheet):
             return grid_threads_of(self, sheet).poisson_ratio
         return POISSON_RATIO if isinstance(sheet, MeshSheet) else None

@@ -105,16 +105,52 @@ class ClothParameters:
 class MaterialParameters:
     """Physical moduli of the sheet."""
 
+    fabric: str = parameter(
+        "string",
+        "",
+        "Fabric whose values are the defaults of the material: denim, ..., or the path of a fabric file (YAML); other "
+        "parameters that are set override it; empty: none",
+    )
     density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", min=1e-9, max=1e3, live=True)
     stretch_modulus: float = parameter(
         "double",
         1000.0,
-        "Young's modulus of the sheet along its threads",
+        "Young's modulus of the sheet along its threads: warp, and weft unless stretch_modulus_weft is set",
         unit="N/m",
         min=0.0,
         max=1e9,
         excludes_min=True,
         live=True,
+    )
+    stretch_modulus_weft: float = parameter(
+        "double",
+        0.0,
+        "Young's modulus of the sheet along its weft; 0: that of the warp. Springs of a mesh are alike in all "
+        "directions; membrane.model triangles is not",
+        unit="N/m",
+        min=0.0,
+        max=1e9,
+        live=True,
+    )
+    poisson_ratio: float = parameter(
+        "double",
+        0.0,
+        "Poisson's ratio of membrane.model triangles: contraction along the weft over strain, in a pull along the "
+        "warp; its square is below warp over weft modulus. That of springs follows from their network",
+        min=-10.0,
+        max=10.0,
+        live=True,
+    )
+    warp_direction: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 1.0, 0.0),
+        "Direction of the warp at rest, projected onto each triangle: in the sheet's own plane, x along a row, y "
+        "towards the top edge, or in the frame of the mesh file. The weft is perpendicular to it. Springs of a grid "
+        "need a direction along its rows or columns",
+        length=3,
+        min=-1e4,
+        max=1e4,
+        constraint="not all 0",
     )
     shear_modulus: float = parameter(
         "double", 100.0, "Shear modulus of the sheet", unit="N/m", min=0.0, max=1e9, live=True
@@ -123,6 +159,15 @@ class MaterialParameters:
         "double",
         0.0,
         "Moment per width and curvature; required by crossed and altitude bending, unused by other models",
+        unit="N m",
+        min=0.0,
+        max=1e6,
+        live=True,
+    )
+    bending_modulus_weft: float = parameter(
+        "double",
+        0.0,
+        "Moment per width and curvature of a strip along the weft; 0: that of the warp, which bending_modulus then is",
         unit="N m",
         min=0.0,
         max=1e6,
@@ -149,6 +194,19 @@ class MaterialParameters:
 
 
 @attrs.frozen(kw_only=True)
+class MembraneParameters:
+    """Resistance to stretch and shear."""
+
+    model: str = parameter(
+        "string",
+        "springs",
+        "Elements that resist stretch and shear: springs along edges and diagonals; triangles of constant strain, "
+        "which have warp, weft and shear moduli in any direction of the threads, on grids and meshes",
+        choices=("springs", "triangles"),
+    )
+
+
+@attrs.frozen(kw_only=True)
 class BendingParameters:
     """Resistance to bending."""
 
@@ -163,6 +221,15 @@ class BendingParameters:
         "double",
         2.0,
         "Stiffness of axial and opposite springs: k_s per thread spacing; it is subtracted from edge springs",
+        unit="N/m",
+        min=0.0,
+        max=1e8,
+        live=True,
+    )
+    stiffness_weft: float = parameter(
+        "double",
+        0.0,
+        "Stiffness of axial springs along the weft; 0: that of the warp, which bending.stiffness then is",
         unit="N/m",
         min=0.0,
         max=1e8,

@@ -8,16 +8,20 @@ from collections.abc import Mapping
 from typing import Any
 
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.scene.build import (
     PhysicsScene,
+    Sheet,
     anchored_particles,
     grid_threads_of,
     hinge_springs,
     joined_particles,
+    membrane_forces,
     obstacle_joints,
 )
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.thread_directions import along_grid, bending_moduli, stretch_moduli
 
 
 def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -47,8 +51,10 @@ def check_sheet(scene: PhysicsScene) -> None:
         if path and path not in scene.files:
             raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
     sheet = scene.sheet
+    _check_threads(scene, sheet)
     if isinstance(sheet, GridSheet):
-        grid_threads_of(scene, sheet)
+        if scene.membrane.model == "springs":
+            grid_threads_of(scene, sheet)
     elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none" and not len(sheet.triangles())):
         has_hinges = len(sheet.triangles()) > 0
         fitting = "none, opposite, crossed or altitude" if has_hinges else "none, or give the springs file triangles"
@@ -60,13 +66,14 @@ def check_sheet(scene: PhysicsScene) -> None:
         raise ParameterError(
             "wind.normal_drag and wind.tangential_drag need a surface; raw springs have none: set both to 0"
         )
-    if model in ("axial", "opposite") and modulus:
+    if model in ("axial", "opposite") and (modulus or scene.material.bending_modulus_weft):
         from cloth_sim_ros.physics.model.sheets.bending import refuse_bending_modulus
 
         try:
             refuse_bending_modulus(model)
         except ValueError as error:
-            raise ParameterError(f"material.bending_modulus is {modulus} N m: {error}") from error
+            name = "bending_modulus" if modulus else "bending_modulus_weft"
+            raise ParameterError(f"material.{name} is {getattr(scene.material, name)} N m: {error}") from error
     if model in ("crossed", "altitude") and not modulus:
         raise ParameterError(
             f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
@@ -78,3 +85,37 @@ def check_sheet(scene: PhysicsScene) -> None:
             raise
         except ValueError as error:
             raise ParameterError(f"cloth.springs '{cloth.springs}': {error}") from error
+
+
+def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
+    """Refuse threads that the elements of a sheet can't represent."""
+    if scene.membrane.model == "triangles":
+        if isinstance(sheet, RawSprings):
+            raise ParameterError("membrane.model 'triangles' is not for cloth.springs, which has springs of its own")
+        membrane_forces(scene, sheet)
+    elif isinstance(sheet, MeshSheet):
+        warp, weft = stretch_moduli(scene)
+        if warp != weft:
+            raise ParameterError(
+                f"material.stretch_modulus_weft is {weft} N/m and stretch_modulus {warp} N/m; the springs of a mesh "
+                "are alike in all directions: set membrane.model to triangles, or stretch_modulus_weft to 0.0"
+            )
+    warp, weft = bending_moduli(scene)
+    if warp == weft or scene.bending.model not in ("crossed", "altitude"):
+        return
+    if isinstance(sheet, RawSprings):
+        raise ParameterError(
+            f"material.bending_modulus_weft is {weft} N m and bending_modulus {warp} N m; cloth.springs has no "
+            "directions of threads: set bending_modulus_weft to 0.0"
+        )
+    if not warp > 0.0:
+        raise ParameterError(f"material.bending_modulus_weft is {weft} N m without bending_modulus; set both")
+    if isinstance(sheet, GridSheet):
+        along_grid(scene, (warp, weft), "material.bending_modulus")
+    else:
+        try:
+            hinge_springs(scene, sheet, sheet.masses(1.0), None)
+        except ValueError as error:
+            raise ParameterError(
+                f"material.bending_modulus_weft is {weft} N m beside bending_modulus {warp} N m: {error}"
+            ) from error

@@ -21,6 +21,9 @@ class SceneValues(Protocol):
     def cloth(self) -> sections.ClothParameters: ...
 
     @property
+    def material(self) -> sections.MaterialParameters: ...
+
+    @property
     def contact(self) -> sections.ContactParameters: ...
 
     @property
@@ -96,6 +99,8 @@ def _faults(scene: SceneValues) -> Iterator[str]:
         yield "frame_id is empty; name the coordinate frame, e.g. 'world'"
     if scene.tf.publish and "cloth" in scene.gripper_names:
         yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
+    if not any(scene.material.warp_direction):
+        yield "material.warp_direction is [0.0, 0.0, 0.0]; give a direction, e.g. [0.0, 1.0, 0.0]"
     orientations = {
         "cloth.orientation": scene.cloth.orientation,
         "gripper.sensor_orientation": scene.gripper.sensor_orientation,

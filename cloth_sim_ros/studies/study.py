@@ -16,6 +16,8 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.scene import input_file
+from cloth_sim_ros.scene.fabrics import with_changes
+from cloth_sim_ros.scene.files import FABRIC
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
 from cloth_sim_ros.scene.scene import Scene
@@ -87,7 +89,8 @@ class Study:
         Raises:
             ParameterError: if the values are invalid.
         """
-        changed = dict(self.parameters)
+        fabric = {name: value for name, value in values.items() if name == FABRIC}
+        changed = with_changes(self.parameters, fabric, self.files)
         # Set entries of an array after the array.
         for name in sorted(values, key=lambda name: "[" in name):
             if name.partition(".")[0] in (TARGET, POLICY):

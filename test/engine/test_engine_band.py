@@ -64,6 +64,22 @@ def test_rows_that_are_not_eliminated_hold_the_schur_complement(count: int, widt
     assert dense_of(rows[inner:], width) == pytest.approx(expected, abs=1e-10)
 
 
+def test_couplings_are_assembled_in_either_order() -> None:
+    random = np.random.default_rng(6)
+    places, pairs = np.array([2, 0, -1, 1]), np.array([[0, 1], [1, 3], [2, 0]])
+    blocks = random.normal(size=(3, 9))
+    rows, dense = band.rows(3, 2), np.zeros((9, 9))
+    band.assemble(rows, places, pairs, blocks, np.arange(3))
+    for (a, b), block in zip(places[pairs], blocks.reshape(3, 3, 3), strict=True):
+        for i in (a, b):
+            if i >= 0:
+                dense[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += 0.5 * (block + block.T)
+        if min(a, b) >= 0:
+            dense[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] -= block
+            dense[3 * b : 3 * b + 3, 3 * a : 3 * a + 3] -= block.T
+    assert dense_of(rows, 2) == pytest.approx(dense, abs=1e-15)
+
+
 def test_zeros_beside_the_band_have_no_sign() -> None:
     # Vectors of another width reach further beyond the band: what they leave there must be the same.
     for count, width in SIZES:

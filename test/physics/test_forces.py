@@ -16,6 +16,7 @@ from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
 from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.forces.wind import Wind
@@ -57,6 +58,13 @@ def sheet(damping, parity, **options):
     return GridSprings(3, 4, families, **options)
 
 
+def membrane(viscosities, **options):
+    corners = RNG.uniform(-1.0, 1.0, (len(AROUND), 3, 2))
+    # Slivers would make forces of many orders of magnitude.
+    corners[:, 1:] += [[[2.0, 0.0], [0.0, 2.0]]]
+    return MembraneTriangles(AROUND[:, :3], corners, moduli=[50.0, 8.0, 20.0, 5.0], viscosities=viscosities, **options)
+
+
 def grips(stillness=False):
     held = Grips(2)
     pose, turned = [0.1, 0, 0, 0, 0, 0, 1.0], [0.4, 0.2, 0.1, *Rotation.from_rotvec([1, 2, 0]).as_quat()]
@@ -77,6 +85,8 @@ INTERNAL = {
     "sheet": [sheet(0.3, None)],
     "undamped sheet": [sheet(0.0, None)],
     "checkered sheet": [sheet(0.3, 1)],
+    "membrane": [membrane([2.0, -0.3, 0.8, 0.2])],
+    "undamped membrane": [membrane([0.0, 0.0, 0.0, 0.0])],
     "opposite": [OppositeSprings(HINGES[:, 2:], np.abs(REST_LENGTHS) + 0.3, STIFFNESS, DAMPING)],
     "crossed": [CrossedSprings(HINGES[:, :2], HINGES[:, 2:], REST_LENGTHS, STIFFNESS, DAMPING)],
     "crossed flat": [CrossedSprings(HINGES[:, :2], HINGES[:, 2:], 0.0, STIFFNESS)],
@@ -98,8 +108,8 @@ MOVING_AIR = {
     "blown cells": [AirPanels(AROUND[:, :4], normal=2.0, tangential=0.3, wind=(3.0, -1.0, 0.5))],
 }
 CONSERVING = {**INTERNAL, **EXTERNAL}
-ON_LIST = [springs(damping=0.4), *INTERNAL["crossed"], *INTERNAL["altitude"]]
-ON_SHEET = [sheet(0.3, 0), *INTERNAL["opposite"], *INTERNAL["altitude"]]
+ON_LIST = [springs(damping=0.4), *INTERNAL["membrane"], *INTERNAL["crossed"], *INTERNAL["altitude"]]
+ON_SHEET = [sheet(0.3, 0), *INTERNAL["membrane"], *INTERNAL["opposite"], *INTERNAL["altitude"]]
 DRIVEN = [*EXTERNAL["gravity"], *EXTERNAL["drag"], *MOVING_AIR["wind"]]
 #: All forces at once too, on a list and on a sheet.
 ALL = {

@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.forces.wind import Wind
 
@@ -166,6 +167,32 @@ def hinge_springs(length, x, v, hinges, rest_lengths, stiffness, damping):
     return Values(f, energy, dissipation)
 
 
+def membrane(x, v, triangles, corners, moduli, viscosities):
+    """St. Venant-Kirchhoff: second Piola-Kirchhoff stress S = C : E + size D : dE/dt, force -A F S grad N.
+
+    F maps a triangle's rest plane, by its threads, to space. N are the linear shape functions of its corners.
+    """
+    f, energy, dissipation = np.zeros_like(x), 0.0, 0.0
+    slopes = np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
+    tensors = [
+        np.array([[c11, c12, 0.0], [c12, c22, 0.0], [0.0, 0.0, c33]]) for c11, c12, c22, c33 in (moduli, viscosities)
+    ]
+    for triangle, points in zip(triangles, corners, strict=True):
+        sides = np.stack((points[1] - points[0], points[2] - points[0]), axis=1)
+        shapes = slopes @ np.linalg.inv(sides)
+        area = 0.5 * abs(np.linalg.det(sides))
+        gradient, rate = x[:, triangle] @ shapes, v[:, triangle] @ shapes
+        strain, strain_rate = 0.5 * (gradient.T @ gradient - np.eye(2)), rate.T @ gradient
+        strain_rate = 0.5 * (strain_rate + strain_rate.T)
+        vectors = [np.array([e[0, 0], e[1, 1], 2.0 * e[0, 1]]) for e in (strain, strain_rate)]
+        elastic, viscous = tensors[0] @ vectors[0], np.sqrt(2.0 * area) * tensors[1] @ vectors[1]
+        s = elastic + viscous
+        f[:, triangle] -= area * gradient @ np.array([[s[0], s[2]], [s[2], s[1]]]) @ shapes.T
+        energy += 0.5 * area * vectors[0] @ elastic
+        dissipation += area * vectors[1] @ viscous
+    return Values(f, energy, dissipation)
+
+
 def air_panels(x, v, panels, normal, tangential, wind):
     """Return F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of a panel's k corners; zero without an area."""
     f, dissipation, external_power = np.zeros_like(x), 0.0, 0.0
@@ -286,6 +313,8 @@ def values(force, t, x, v, masses):
     if isinstance(force, (CrossedSprings, AltitudeSprings)):
         length = crossed_length if isinstance(force, CrossedSprings) else blended_length
         return hinge_springs(length, x, v, force.hinges, force.rest_length, force.stiffness, force.damping)
+    if isinstance(force, MembraneTriangles):
+        return membrane(x, v, force.triangles, force.corners, force.moduli, force.viscosities)
     if isinstance(force, AirPanels):
         return air_panels(x, v, force.panels, force.normal, force.tangential, force.wind)
     if isinstance(force, Gravity):

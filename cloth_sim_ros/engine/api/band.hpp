@@ -18,7 +18,8 @@ CLOTH_API std::int64_t cloth_band_stride(std::int64_t width) { return band_strid
 
 CLOTH_API int cloth_band_assemble(double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows,
                                   std::int64_t particles, const std::int64_t* pairs, const double* blocks,
-                                  std::int64_t pair_count, const std::int64_t* selected, std::int64_t selected_count) {
+                                  std::int64_t numbers, std::int64_t pair_count, const std::int64_t* selected,
+                                  std::int64_t selected_count) {
     const Band a{rows, count, width};
     for (std::int64_t k = 0; k < selected_count; ++k) {
         const std::int64_t e = selected[k];
@@ -28,7 +29,10 @@ CLOTH_API int cloth_band_assemble(double* rows, std::int64_t count, std::int64_t
         const std::int64_t i = block_rows[p], j = block_rows[q];
         if (i >= count || j >= count) return CLOTH_BAND_BAD_BLOCK_ROW;
         if (i >= 0 && j >= 0 && (i == j || i - j > width || j - i > width)) return CLOTH_BAND_BAD_BLOCK_ROW;
-        add_pair(a, i, j, blocks + 6 * e);
+        if (numbers == 9)
+            add_coupling(a, i, j, blocks + 9 * e);
+        else
+            add_pair(a, i, j, blocks + 6 * e);
     }
     return CLOTH_BAND_OK;
 }

@@ -73,7 +73,7 @@ CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t column
 CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners,
                               const double* params, const double* common);
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag);
-/// Set the coefficients and the wind of the panels, the only list with common parameters.
+/// Set the coefficients and the wind of the panels, the only list whose common parameters change.
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common);
 /// Set the rank of each particle in runs without a grid.
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank);
@@ -111,6 +111,9 @@ CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, co
 /// Blocks of a list of springs or joints, in its own order; see pair_blocks.
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out);
+/// Blocks of a list of membranes, (3 elements, 9); see membrane_blocks.
+CLOTH_API int cloth_membrane_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness,
+                                    double damping, double* out);
 /// Paths over a frame, see path_to. Input: poses (count, 7), twists (count, 6), displacements and rotations of the
 /// frame before (count, 6), targets (count, 7). Output: paths, twists at their end, displacements and rotations, and
 /// the largest change of the displacement along an axis since the frame before [m].
@@ -239,9 +242,11 @@ CLOTH_API int cloth_ccd_self(Plan* plan, const double* x0, const double* x1, std
 // Band matrices and orderings. Every call returns a BandStatus but for the stride.
 
 CLOTH_API std::int64_t cloth_band_stride(std::int64_t width);
+/// Blocks of 6 numbers for pairs, or 9 for couplings; see core/band.hpp.
 CLOTH_API int cloth_band_assemble(double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows,
                                   std::int64_t particles, const std::int64_t* pairs, const double* blocks,
-                                  std::int64_t pair_count, const std::int64_t* selected, std::int64_t selected_count);
+                                  std::int64_t numbers, std::int64_t pair_count, const std::int64_t* selected,
+                                  std::int64_t selected_count);
 CLOTH_API int cloth_band_assemble_diagonal(double* rows, std::int64_t count, std::int64_t width,
                                            const std::int64_t* block_rows, std::int64_t particles, const double* masses,
                                            const double* blocks);

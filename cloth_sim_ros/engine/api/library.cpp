@@ -13,7 +13,7 @@
 
 namespace cloth::api {
 
-CLOTH_API int cloth_engine_abi() { return 22; }
+CLOTH_API int cloth_engine_abi() { return 23; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -75,7 +75,7 @@ CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
     return guarded(plan, [&] {
         for (mesh::List& list : plan->lists)
-            if (!list.numbers) std::copy(common, common + 5, list.common);
+            if (!list.numbers) std::copy(common, common + mesh::common_of(list.kind), list.common);
     });
 }
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
@@ -201,6 +201,10 @@ CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, co
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {
     return guarded(plan, [&] { plan::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
+}
+CLOTH_API int cloth_membrane_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness,
+                                    double damping, double* out) {
+    return guarded(plan, [&] { plan::membrane_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
 }
 CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
                           const double* previous, const double* targets, double* paths, double* end_twists,

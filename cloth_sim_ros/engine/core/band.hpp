@@ -51,6 +51,22 @@ inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double
         }
 }
 
+/// Add a coupling B, by rows: its symmetric part on both diagonals, -B between them. Rows as in `add_pair`. The blocks of
+/// all couplings of a particle add up to a symmetric one.
+inline void add_coupling(const Band& a, std::int64_t i, std::int64_t j, const double* block) {
+    for (int r = 0; r < 3; ++r)
+        for (int c = 0; c < 3; ++c) {
+            const double symmetric = 0.5 * (block[3 * r + c] + block[3 * c + r]);
+            if (i >= 0) a.row(i, r)[c] += symmetric;
+            if (j >= 0) a.row(j, r)[c] += symmetric;
+            if (i < 0 || j < 0) continue;
+            if (i < j)
+                a.row(i, r)[3 * (j - i) + c] -= block[3 * r + c];
+            else
+                a.row(j, r)[3 * (i - j) + c] -= block[3 * c + r];
+        }
+}
+
 /// Add a mass and a block (xx, yy, zz, xy, xz, yz; spaced by `component_stride`) to the diagonal of row i.
 inline void add_diagonal(const Band& a, std::int64_t i, double mass, const double* block,
                          std::int64_t component_stride) {

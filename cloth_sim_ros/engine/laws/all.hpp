@@ -1,10 +1,11 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// All laws of springs, hinges and panels.
+// All laws of springs, membranes, hinges and panels.
 #pragma once
 
 #include "laws/hinge.hpp"
 #include "laws/joint.hpp"
+#include "laws/membrane.hpp"
 #include "laws/panel.hpp"
 #include "laws/spring.hpp"

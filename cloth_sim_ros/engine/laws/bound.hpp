@@ -12,7 +12,7 @@
 // The bounds `stiff` and `damp` of corner i bound a square of a sum over the corners, by Cauchy and Schwarz (sum of
 // a_i)^2 <= (sum of w_j |g_j|) (sum of a_i^2 / (w_i |g_i|)), with weights w of 1 here. `norm` holds the |g_i|, so that
 // other weights can be used (plan/spectral_bounds.hpp). `isotropic` is added, times I, whatever the weights. Zero norms
-// mean that there is no such square.
+// mean that there is no such square. A law with several squares (`squares`) gives each by `square`.
 // Formulas: S1 to S9 of docs/springs.md and docs/bending.md.
 #pragma once
 
@@ -35,11 +35,13 @@ struct Bound {
     V transverse{};
 };
 
-/// Parameters of a law from `numbers` of an element, or from the `common` ones of a list of panels.
+/// Parameters of a law from `numbers` of an element, and from the `common` ones of a list of panels or membranes.
 template <class Law, class V>
 inline typename Law::template Params<V> law_params(const V* numbers, const double* common) {
     using T = scalar<V>;
-    if constexpr (Law::params == 3)
+    if constexpr (requires { Law::common; })
+        return Law::template make_params<V>(numbers, common);
+    else if constexpr (Law::params == 3)
         return {numbers[0], numbers[1], numbers[2]};
     else if constexpr (Law::params == 2)
         return {numbers[0], numbers[1]};

@@ -9,8 +9,8 @@
 
 namespace cloth::mesh {
 
-using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Joint, laws::law_params, laws::Panel, laws::PointFace,
-    laws::Spring;
+using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Joint, laws::law_params, laws::Membrane, laws::Panel,
+    laws::PointFace, laws::Spring;
 
 /// Call `visit` with the law of a kind.
 template <class F>
@@ -22,6 +22,7 @@ inline auto with_law(Kind kind, F&& visit) {
         case Kind::altitude: return visit(Altitude{});
         case Kind::edge_edge: return visit(EdgeEdge{});
         case Kind::point_face: return visit(PointFace{});
+        case Kind::membrane: return visit(Membrane{});
         case Kind::panel3: return visit(Panel<3>{});
         default: return visit(Panel<4>{});
     }
@@ -34,7 +35,7 @@ inline constexpr bool fits(Kind kind) {
 }
 static_assert(fits<Spring>(Kind::spring) && fits<Joint>(Kind::joint) && fits<Crossed>(Kind::crossed) &&
               fits<Altitude>(Kind::altitude) && fits<EdgeEdge>(Kind::edge_edge) && fits<PointFace>(Kind::point_face) &&
-              fits<Panel<3>>(Kind::panel3) && fits<Panel<4>>(Kind::panel4));
+              fits<Membrane>(Kind::membrane) && fits<Panel<3>>(Kind::panel3) && fits<Panel<4>>(Kind::panel4));
 
 /// Operands of a law for one element of a list at x and v, (3, n) by component.
 template <class Law>

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Lists of springs, joints, hinges or panels on any particles, and the order of their evaluation.
+// Lists of springs, joints, membranes, hinges or panels on any particles, and the order of their evaluation.
 #pragma once
 
 #include <algorithm>
@@ -11,14 +11,19 @@
 
 namespace cloth::mesh {
 
-enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4, edge_edge, point_face };
+enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4, edge_edge, point_face, membrane };
 /// Number of particles of an element, and of parameters of its own.
 inline constexpr int corners_of(Kind kind) {
-    return kind == Kind::panel3 ? 3 : kind == Kind::spring || kind == Kind::joint ? 2 : 4;
+    return kind == Kind::panel3 || kind == Kind::membrane ? 3 : kind == Kind::spring || kind == Kind::joint ? 2 : 4;
 }
 inline constexpr int params_of(Kind kind) {
-    return kind == Kind::panel3 || kind == Kind::panel4 ? 0 : kind == Kind::joint ? 2 : 3;
+    return kind == Kind::panel3 || kind == Kind::panel4 ? 0 : kind == Kind::joint ? 2 : kind == Kind::membrane ? 6 : 3;
 }
+/// Number of parameters that all elements of a list have in common.
+inline constexpr int common_of(Kind kind) {
+    return kind == Kind::panel3 || kind == Kind::panel4 ? 5 : kind == Kind::membrane ? 8 : 0;
+}
+inline constexpr int max_params = 6, max_common = 8;
 
 /// Neighbouring elements of a list are evaluated this far apart, so that additions to the force on one particle do not
 /// wait for each other.
@@ -30,7 +35,7 @@ struct Elements {
     std::int64_t count = 0;
     /// Offsets of the particles' quads.
     std::vector<std::uint32_t> corner[4];
-    Array<T> param[3];
+    Array<T> param[max_params];
 };
 
 class List {
@@ -39,7 +44,7 @@ public:
         : kind(kind), count(count), width(corners_of(kind)), numbers(params_of(kind)) {
         this->corners.assign(corners, corners + count * width);
         if (numbers) this->params.assign(params, params + count * numbers);
-        if (common) std::copy(common, common + 5, this->common);
+        if (common) std::copy(common, common + common_of(kind), this->common);
         slow = kind == Kind::crossed || kind == Kind::altitude;
         damped = kind == Kind::panel3 || kind == Kind::panel4;
         for (std::int64_t e = 0; !damped && e < count; ++e) damped = this->params[e * numbers + numbers - 1] != 0.0;
@@ -95,7 +100,7 @@ public:
     int width = 0, numbers = 0;
     std::vector<std::int64_t> corners;
     std::vector<double> params;
-    double common[5] = {};
+    double common[max_common] = {};
 };
 
 /// Dissipated and external power of elements, in 16 partial sums of every sixteenth element, whatever the vector width.

@@ -127,7 +127,7 @@ private:
         }
     }
     CLOTH_INLINE typename Law::template Params<V> params(std::int64_t e) const {
-        V numbers[3];
+        V numbers[max_params];
         for (int p = 0; p < Law::params; ++p) numbers[p] = load_as<V>(param_[p] + e);
         return law_params<Law, V>(numbers, common_);
     }
@@ -183,7 +183,7 @@ private:
 
     const double* common_;
     const std::uint32_t* corner_[C];
-    const T* param_[3] = {};
+    const T* param_[max_params] = {};
     const T *x_, *v_;
     T* f_;
     PowerSums* powers_;

@@ -71,7 +71,7 @@ inline void add_list_product(const List& list, const double* x, const double* v,
             Vec3<Dual> d[C - 1], u[C], f[C];
             for (int c = 0; c < C - 1; ++c) d[c] = with_slope(s.d[c], along.d[c]);
             for (int c = 0; c < n_velocities; ++c) u[c] = with_slope(s.u[c], along.u[c]);
-            Dual numbers[3];
+            Dual numbers[max_params];
             for (int p = 0; p < Law::params; ++p) numbers[p] = {list.params[e * list.numbers + p], 0.0};
             Law::force(law_params<Law, Dual>(numbers, list.common), d, u, f, list.damped);
             Vec3<double> reaction{};

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Translation unit of the queries of a scene: laws of springs, joints, hinges and panels.
+// Translation unit of the queries of a scene: laws of springs, joints, membranes, hinges and panels.
 
 #include "plan/queries.hpp"
 
@@ -14,7 +14,7 @@
 
 namespace cloth::plan {
 
-using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::PointFace, laws::Spring, mesh::Kind;
+using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Membrane, laws::PointFace, laws::Spring, mesh::Kind;
 
 Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;
@@ -111,6 +111,14 @@ void pair_blocks(const List& list, const double* x, std::int64_t n, double stiff
         }
         const double numbers[6] = {b.xx, b.yy, b.zz, b.xy, b.xz, b.yz};
         std::copy(numbers, numbers + 6, blocks + 6 * e);
+    }
+}
+
+void membrane_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
+                     double* blocks) {
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const ElementState<Membrane> s(list, e, x, nullptr, n);
+        Membrane::couplings(s.params, s.d, stiffness, damping, reinterpret_cast<double (*)[9]>(blocks + 27 * e));
     }
 }
 

@@ -49,6 +49,10 @@ double turn_in_step(const Plan& plan, const double* x0, const double* x, std::in
 /// Blocks of a list of springs or joints, in its own order, (count, 6): k dd' without the transverse part of
 /// compression, and those of their damping, each with its weight.
 void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping, double* blocks);
+/// Couplings of the corners (0, 1), (0, 2) and (1, 2) of each membrane of a list, (3 count, 9); see
+/// `laws::Membrane::couplings`.
+void membrane_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
+                     double* blocks);
 /// Signed lengths h [m] of hinges of a list, NaN if undefined, and, unless `squares` is null, |dh/dx|^2 of their four
 /// corners (count, 4).
 void hinge_lengths(const List& list, const double* x, std::int64_t n, double* lengths, double* squares);

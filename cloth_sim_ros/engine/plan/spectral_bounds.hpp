@@ -121,13 +121,23 @@ private:
             for (int i = 0; i < Law::corners; ++i) any = any || is_outlier[p[i]];
             if (!any) continue;
             const ElementState<Law> s(list, e, x, nullptr, plan_.count);
-            SharedElement element{Law::corners, {}, {}, 0.0};
-            Law::bounds(s.params, s.d, element.bound);
-            for (int i = 0; i < Law::corners; ++i) element.total += element.bound[i].norm;
-            if (!(element.total > 0.0)) continue;
-            for (int i = 0; i < Law::corners; ++i) element.at[i] = index_of(p[i]);
-            elements_.push_back(element);
+            if constexpr (requires { Law::squares; }) {
+                for (int square = 0; square < Law::squares; ++square)
+                    collect<Law>(p, [&](Bound<double>* bound) { Law::square(s.params, s.d, square, bound); });
+            } else {
+                collect<Law>(p, [&](Bound<double>* bound) { Law::bounds(s.params, s.d, bound); });
+            }
         }
+    }
+    /// Collect an element, or one of its squares, whose bounds `bounds` writes.
+    template <class Law, class F>
+    void collect(const std::int64_t* corners, F&& bounds) {
+        SharedElement element{Law::corners, {}, {}, 0.0};
+        bounds(element.bound);
+        for (int i = 0; i < Law::corners; ++i) element.total += element.bound[i].norm;
+        if (!(element.total > 0.0)) return;
+        for (int i = 0; i < Law::corners; ++i) element.at[i] = index_of(corners[i]);
+        elements_.push_back(element);
     }
     /// Index of a particle among the collected ones.
     std::int64_t index_of(std::int64_t i) {

@@ -14,6 +14,7 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import ElementList
@@ -31,9 +32,9 @@ NO_PARTICLES: NDArray[np.int64] = np.empty(0, dtype=np.int64)
 class StageMatrix:
     """Matrix of one model, positive definite because the negative stiffness of compressed springs is omitted.
 
-    Springs and joints enter exactly. Hinges, panels and forces in numpy enter by particle blocks that bound them, which
-    slows the iteration. Free particles are numbered by reverse Cuthill-McKee, or row by row on a grid, for a narrow
-    band.
+    Springs, joints and membranes enter exactly. Hinges, panels and forces in numpy enter by particle blocks that bound
+    them, which slows the iteration. Free particles are numbered by reverse Cuthill-McKee, or row by row on a grid, for
+    a narrow band.
     """
 
     def __init__(self, model: Model) -> None:
@@ -45,7 +46,7 @@ class StageMatrix:
         # Anchored particles may lie inside obstacles, where forces are not finite.
         self._other_forces = compile(Model(model.masses, other_forces, anchors=model.anchors))
         parts = [part for force in springs for part in force.parts(count) or () if isinstance(part, ElementList)]
-        self._pairs = [np.ascontiguousarray(part.particles) for part in parts]
+        self._pairs = [_coupled_pairs(part) for part in parts]
         is_free = model.inverse_masses > 0.0
         block_rows, width = _block_order(self._band_pairs(parts), is_free)
         self._matrix = BandMatrix(block_rows, width, self._pairs)
@@ -57,14 +58,18 @@ class StageMatrix:
 
     def _band_pairs(self, parts: list[ElementList]) -> NDArray[np.int64]:
         """Return the pairs that the band must contain: those that are not negligible at one of their ends."""
-        # Stiffness k [N/m] of springs and joints at any position: the order does not depend on the state.
-        rigidities = [part.coefficients[:, 1 if part.kind == "spring" else 0] for part in parts]
+        # Stiffness k [N/m] at any position: the order does not depend on the state.
+        rigidities = [_rigidities(part) for part in parts]
         ends = np.concatenate([np.empty((0, 2), dtype=np.int64), *self._pairs])
         size = np.concatenate([np.empty(0), *rigidities])
         largest = np.zeros(self._model.particle_count)
         for end_index in (0, 1):
             np.maximum.at(largest, ends[:, end_index], size)
-        return ends[size >= _NEGLIGIBLE_FRACTION * largest[ends].min(axis=1)]
+        is_coupled = size >= _NEGLIGIBLE_FRACTION * largest[ends].min(axis=1)
+        # The matrix of a triangle is positive definite only as a whole.
+        kinds = [np.full(len(pairs), part.kind == "membrane") for pairs, part in zip(self._pairs, parts, strict=True)]
+        is_coupled |= np.concatenate([np.empty(0, dtype=np.bool_), *kinds])
+        return ends[is_coupled]
 
     def update(
         self, t: float, x: Array, d: float, memory: StateMemory, prescribed: NDArray[np.int64] = NO_PARTICLES
@@ -160,15 +165,36 @@ def iteration_cost(model: Model) -> float:
 
 
 def _split_forces(model: Model) -> tuple[list[Force], list[Force]]:
-    """Return springs and joints of a model, those of a grid as lists, and its other forces."""
+    """Return springs, joints and membranes of a model, springs of a grid as lists, and its other forces."""
     springs: list[Force] = []
     other_forces: list[Force] = []
     for force in model.forces:
         if isinstance(force, GridSprings):
             springs.append(force.pair_springs)
         else:
-            (springs if isinstance(force, PairSprings) else other_forces).append(force)
+            (springs if isinstance(force, PairSprings | MembraneTriangles) else other_forces).append(force)
     return springs, other_forces
+
+
+def _coupled_pairs(part: ElementList) -> NDArray[np.int64]:
+    """Return the pairs of particles that the elements of a list couple, in the order of their blocks, shape (k, 2)."""
+    particles = part.particles
+    if part.kind == "membrane":
+        particles = np.stack([particles[:, [0, 1]], particles[:, [0, 2]], particles[:, [1, 2]]], axis=1).reshape(-1, 2)
+    return np.ascontiguousarray(particles)
+
+
+def _rigidities(part: ElementList) -> Array:
+    """Return the stiffness of each coupled pair [N/m], that of a triangle by its largest modulus, shape (k,)."""
+    if part.kind != "membrane":
+        return part.coefficients[:, 1 if part.kind == "spring" else 0]
+    assert part.shared_coefficients is not None
+    p1, p2, q1, q2, area = part.coefficients[:, :5].T
+    modulus = max(part.shared_coefficients[0], part.shared_coefficients[2])
+    slopes = np.stack([p1 + p2, p1, p2]), np.stack([q1 + q2, q1, q2])
+    steepness = np.sqrt(slopes[0] * slopes[0] + slopes[1] * slopes[1])
+    pairs = steepness[0] * steepness[1], steepness[0] * steepness[2], steepness[1] * steepness[2]
+    return np.asarray(modulus * area[:, None] * np.stack(pairs, axis=1)).ravel()
 
 
 def _block_order(pairs: NDArray[np.int64], is_free: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:

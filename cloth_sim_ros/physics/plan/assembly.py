@@ -31,7 +31,7 @@ MOVE_OPERATIONS, GRID_SPRING_OPERATIONS, GRID_PANEL_OPERATIONS = 40, 26, 45
 #: Element kinds whose forces multirate runs evaluate less often.
 HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
-ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160)
+ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160) | {"membrane": 130}
 
 
 @attrs.define(eq=False)
@@ -104,15 +104,17 @@ class Assembly:
         check(library().cloth_plan_uniform(handle, self.gravity.ctypes.data, self.wind.ctypes.data, self.drag))
 
     def pair_counts(self) -> list[int]:
-        """Return the number of elements of each list; 0 if the list is neither of springs nor of joints."""
-        return [len(part.particles) if part.kind in ("spring", "joint") else 0 for part in self.element_lists]
+        """Return the number of blocks of each list in an implicit matrix: one a spring or joint, three a membrane."""
+        blocks = {"spring": 1, "joint": 1, "membrane": 3}
+        return [blocks.get(part.kind, 0) * len(part.particles) for part in self.element_lists]
 
     def min_damping_time(self) -> float:
-        """Return the least c / k [s] of springs and joints, see `min_damping_time`."""
+        """Return the least c / k [s] of springs, joints and membranes, see `min_damping_time`."""
         coefficients = [part.coefficients for part in self.element_lists if part.kind in ("spring", "joint")]
         damping_times = [min_damping_time(numbers[:, -2], numbers[:, -1]) for numbers in coefficients]
         families = () if self.grid is None else self.grid.families
         damping_times += [min_damping_time(f.stiffness / f.rest_length, f.damping) for f in families]
+        damping_times += [_membrane_damping_time(part) for part in self.element_lists if part.kind == "membrane"]
         return min(damping_times, default=math.inf)
 
     def step_cost(self) -> float:
@@ -192,6 +194,14 @@ def _upload_elements(handle: int, part: ElementList) -> None:
     )
     addresses = particles.ctypes.data, coefficients.ctypes.data, None if shared is None else shared.ctypes.data
     check(library().cloth_plan_list(handle, kind, len(particles), *addresses))
+
+
+def _membrane_damping_time(part: ElementList) -> float:
+    """Return the least ratio of viscosity to stiffness [s] of triangles."""
+    assert part.shared_coefficients is not None
+    times = min_damping_time(part.shared_coefficients[[0, 2, 3]], part.shared_coefficients[[4, 6, 7]])
+    sizes = part.coefficients[:, 5] / part.coefficients[:, 4]
+    return times * float(sizes.min(initial=np.inf)) if np.isfinite(times) else times
 
 
 def _particle_pairs(groups: NDArray[np.int64]) -> NDArray[np.int64]:

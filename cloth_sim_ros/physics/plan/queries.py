@@ -41,6 +41,7 @@ class PlanQueries:
     _drag: float
     _grip_binding: GripBinding | None
     _pair_counts: list[int]
+    _membrane_lists: list[bool]
     _min_damping_time: float
     _query_out: ctypes.Array[ctypes.c_double]
     _query_address: int
@@ -243,11 +244,13 @@ class PlanQueries:
             force.add_jacobian_product(t, x, v, dx, dv, out)
 
     def pair_blocks(self, list_index: int, count: int, x: Array, stiffness: float, damping: float) -> Array:
-        """Return the blocks B (count, 6) of one of the plan's lists of springs or joints, see `StageMatrix`.
+        """Return the blocks B of one of the plan's lists of springs or joints, (count, 6), or membranes, (count, 9).
+
+        `StageMatrix` uses them.
 
         Args:
             list_index: index of the list.
-            count: number of its elements.
+            count: number of its blocks: one an element, three a membrane.
             x: positions [m], shape (3, n).
             stiffness: factor on the stiffness.
             damping: factor on the damping.
@@ -256,10 +259,10 @@ class PlanQueries:
             ValueError: if the plan has no such list.
         """
         if not 0 <= list_index < len(self._pair_counts) or self._pair_counts[list_index] != count:
-            raise ValueError(
-                f"list {list_index} of {count} springs or joints; the plan has lists of {self._pair_counts}"
-            )
-        out, x_address = np.empty((count, 6)), doubles("x", x, self._shape)
+            raise ValueError(f"list {list_index} of {count} blocks; the plan has lists of {self._pair_counts}")
+        is_membrane = self._membrane_lists[list_index]
+        out, x_address = np.empty((count, 9 if is_membrane else 6)), doubles("x", x, self._shape)
         coefficients = stiffness, damping
-        check(self._library.cloth_pair_blocks(self._handle, list_index, x_address, *coefficients, out.ctypes.data))
+        function = self._library.cloth_membrane_blocks if is_membrane else self._library.cloth_pair_blocks
+        check(function(self._handle, list_index, x_address, *coefficients, out.ctypes.data))
         return out

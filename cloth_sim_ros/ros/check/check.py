@@ -164,7 +164,8 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     control = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
     print(f"{scene.rate:g} frames a second; {control}; grippers: {', '.join(scene.gripper_names) or 'none'}")
     if (ratio := scene.poisson_ratio) is not None:
-        print(f"Poisson's ratio, which follows from the moduli: {ratio:.3f}")
+        origin = "" if scene.membrane.model == "triangles" else ", which follows from the moduli"
+        print(f"Poisson's ratio{origin}: {ratio:.3f}")
     if simulation.obstacles is not None:
         _print_obstacles(scene, simulation.obstacles)
 

@@ -113,6 +113,7 @@ def hint_at_folder(error: str, values: Mapping[str, Any], path: str | Path) -> s
     """Return a hint on the working directory if an error names a missing relative file; otherwise an empty text."""
     for parameter, value in values.items():
         is_file = parameter in (*files.FILE_PARAMETERS, "robot.description_file") or parameter.endswith(".mesh")
+        is_file = is_file or (parameter == files.FABRIC and files.is_fabric_file(str(value)))
         named = is_file and isinstance(value, str) and value
         if not named or os.path.isabs(value) or f"'{value}'" not in error:
             continue

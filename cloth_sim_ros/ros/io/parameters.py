@@ -23,6 +23,7 @@ from cloth_sim_ros.ros.io.qos_rules import Override, overridable
 from cloth_sim_ros.ros.recording.initial_state import session_state
 from cloth_sim_ros.ros.timing.sim_time import SIM_TIME, SimTimeNode, check_sim_time
 from cloth_sim_ros.scene import frame_ids, gripper_parameters, obstacles
+from cloth_sim_ros.scene.fabrics import fabric_parameters
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
 from cloth_sim_ros.scene.parameters.declare import Faults, Parameter, ParameterError, read_only
 from cloth_sim_ros.scene.parameters.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
@@ -166,7 +167,8 @@ def declare(node: Node, *, extend: Extension | None = None) -> Scene:
     if extend is not None:
         values, files = extend(values, files)
     scene = Scene.from_parameters(values, files=files)
-    known, defaults = Scene.declared_for(values), without_surface(values)
+    known = Scene.declared_for(values)
+    defaults = {**fabric_parameters(values, scene.files)[0], **without_surface(values)}
     for entry in known:
         declare_entry(node, entry, {entry.name: entry.default, **defaults, **values}[entry.name])
     _warn_of_unknown(node, scene, [entry.name for entry in known])

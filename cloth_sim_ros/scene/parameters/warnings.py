@@ -8,6 +8,7 @@ import difflib
 from collections.abc import Callable, Iterable
 
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.thread_directions import axial_stiffness, bending_moduli, stretch_moduli
 
 #: Names, condition under which they have no effect, and the reason as the end of a sentence.
 _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
@@ -26,6 +27,7 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         (
             "material.density",
             "material.stretch_modulus",
+            "material.stretch_modulus_weft",
             "material.shear_modulus",
             "material.viscosity",
         ),
@@ -46,8 +48,28 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     ),
     (
         ("material.shear_modulus",),
-        lambda scene: bool(scene.cloth.mesh),
-        "a mesh's shear modulus follows from its stretch modulus",
+        lambda scene: bool(scene.cloth.mesh) and scene.membrane.model == "springs",
+        "the shear modulus of a mesh of springs follows from its stretch modulus; membrane.model triangles uses it",
+    ),
+    (
+        ("material.poisson_ratio",),
+        lambda scene: scene.membrane.model == "springs",
+        "Poisson's ratio of springs follows from their network; membrane.model triangles uses it",
+    ),
+    (
+        ("bending.stiffness_weft",),
+        lambda scene: scene.bending.model != "axial",
+        "only axial bending uses it; crossed and altitude take material.bending_modulus_weft",
+    ),
+    (
+        ("material.bending_modulus_weft",),
+        lambda scene: scene.bending.model not in ("crossed", "altitude"),
+        "only crossed and altitude bending use it",
+    ),
+    (
+        ("material.warp_direction",),
+        lambda scene: scene.membrane.model == "springs" and not _has_directions(scene),
+        "warp and weft are alike",
     ),
     (
         ("bending.stiffness",),
@@ -136,6 +158,12 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     ),
     (("contact.friction",), lambda scene: not scene.contact.self_, "contact.self is false"),
 )
+
+
+def _has_directions(scene: Scene) -> bool:
+    """Return True if a quantity of the springs differs between warp and weft."""
+    pairs = stretch_moduli(scene), bending_moduli(scene), axial_stiffness(scene)
+    return any(warp != weft for warp, weft in pairs)
 
 
 def ineffective_parameters(scene: Scene, set_names: Iterable[str]) -> list[str]:

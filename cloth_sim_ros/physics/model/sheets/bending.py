@@ -12,6 +12,10 @@ l. The energy per cell is ½ D hx hy (κ_xx² + κ_yy² + 2 κ_xy²), a plate wi
 
     k_θ = D hy/hx,   D hx/hy,   2 D hx hy/l².
 
+Threads make D_x along rows and D_y along columns differ. The three constants then have D_x, D_y and sqrt(D_x D_y).
+The last one is the usual torsional stiffness of an orthotropic plate (Timoshenko and Woinowsky-Krieger, Theory of
+Plates and Shells, 1959, section 86).
+
 *One triangulation of a grid.* Take a strip along the rows under the moment M per width. By statics the hinge of an edge
 across it has the moment M hy, that of a diagonal M hy²/l. Each turns by its moment over k_θ. Over one cell hx/(D hy) =
 1/k_across + (hy/l)²/k_diagonal. The diagonals' share is free: k_diagonal = 1.5 D (l²/(2 hx hy))². With it a square
@@ -67,7 +71,7 @@ def shape_hinge_constants(shape: HingeShape, *, bending_modulus: float) -> Array
 
 
 def grid_hinge_constants(
-    hinges: ArrayLike, *, columns: int, spacing: tuple[float, float], bending_modulus: float
+    hinges: ArrayLike, *, columns: int, spacing: tuple[float, float], bending_modulus: float | tuple[float, float]
 ) -> Array:
     """Return k_θ [N m] of hinges (m, 4) of a grid, shape (m,).
 
@@ -75,12 +79,15 @@ def grid_hinge_constants(
         hinges: those of `surface.grid_hinges`, which bend best, or those of the grid's one surface.
         columns: number of particles in a row.
         spacing: distances hx of neighbours in a row and hy in a column [m].
-        bending_modulus: D [N m], along rows and along columns.
+        bending_modulus: D [N m], one number, or D_x along rows and D_y along columns for both checkerboards.
 
     Raises:
-        ValueError: for a modulus that is not finite and at least 0, or a spacing that is not above 0.
+        ValueError: for a modulus that is not finite and at least 0, a spacing that is not above 0, or two moduli for
+            one surface.
     """
-    _check_modulus(bending_modulus)
+    along_x, along_y = bending_modulus if isinstance(bending_modulus, tuple) else (bending_modulus, bending_modulus)
+    _check_modulus(along_x)
+    _check_modulus(along_y)
     hx, hy = spacing
     if not (math.isfinite(hx * hy) and min(hx, hy) > 0.0):
         raise ValueError(f"spacing is ({hx}, {hy}) m; both must be finite and above 0")
@@ -96,7 +103,13 @@ def grid_hinge_constants(
         diagonal = 1.5 * (square / (2.0 * hx * hy)) * (square / (2.0 * hx * hy))
         across = 1.0 / (hx / hy - hy * hy / (square * diagonal))
         along = 1.0 / (hy / hx - hx * hx / (square * diagonal))
-    return bending_modulus * np.select([along_column, along_row], [across, along], diagonal)
+        if along_x != along_y:
+            raise ValueError(
+                f"bending_modulus is {along_x} N m along rows and {along_y} N m along columns; one surface has one "
+                "modulus: give the hinges of grid_hinges, or one modulus"
+            )
+    twist = along_x if along_x == along_y else math.sqrt(along_x * along_y)
+    return np.select([along_column, along_row], [along_x * across, along_y * along], twist * diagonal)
 
 
 def bending_terms(

@@ -242,12 +242,15 @@ def grid_hinges(rows: int, columns: int) -> IndexArray:
     and the sheet has a Poisson's ratio of -1/3. A grid cut along one family of diagonals twists. The two checkerboards
     together, each at half strength, do neither.
     """
-    cuts = [grid_triangles(rows, columns, "alternating")]
+    return np.concatenate([Surface.from_triangles(cut).hinges for cut in checkerboards(rows, columns)])
+
+
+def checkerboards(rows: int, columns: int) -> tuple[IndexArray, IndexArray]:
+    """Return the triangles of both checkerboards of a grid, `alternating` and the one with every other diagonal."""
     left, right = grid_triangles(rows, columns, "left"), grid_triangles(rows, columns, "right")
     cells = np.arange(len(left)) // 2
     odd = (cells // (columns - 1) + cells % (columns - 1)) % 2 == 1
-    cuts.append(np.where(odd[:, None], left, right))
-    return np.concatenate([Surface.from_triangles(cut).hinges for cut in cuts])
+    return grid_triangles(rows, columns, "alternating"), np.where(odd[:, None], left, right)
 
 
 def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:

@@ -1,0 +1,73 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Quantities of warp and weft of a scene, and their axes on a grid."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from cloth_sim_ros.scene import sections
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+
+#: Sine of the angle between warp and axis of a grid, below which they are the same direction.
+_ALIGNED_SINE = 1e-9
+
+
+class ScenesMaterial(Protocol):
+    """Part of a `Scene` that describes its threads."""
+
+    @property
+    def material(self) -> sections.MaterialParameters: ...
+
+    @property
+    def bending(self) -> sections.BendingParameters: ...
+
+
+def stretch_moduli(scene: ScenesMaterial) -> tuple[float, float]:
+    """Return Young's moduli along warp and weft [N/m]."""
+    material = scene.material
+    return material.stretch_modulus, material.stretch_modulus_weft or material.stretch_modulus
+
+
+def bending_moduli(scene: ScenesMaterial) -> tuple[float, float]:
+    """Return the bending moduli along warp and weft [N m]."""
+    material = scene.material
+    return material.bending_modulus, material.bending_modulus_weft or material.bending_modulus
+
+
+def axial_stiffness(scene: ScenesMaterial) -> tuple[float, float]:
+    """Return the stiffness of axial bending springs along warp and weft [N/m]; 0 for other models of bending."""
+    bending = scene.bending
+    if bending.model != "axial":
+        return 0.0, 0.0
+    return bending.stiffness, bending.stiffness_weft or bending.stiffness
+
+
+def is_oblique(scene: ScenesMaterial) -> bool:
+    """Return True if the warp is along neither rows nor columns of a grid."""
+    x, y, _ = map(abs, scene.material.warp_direction)
+    return min(x, y) > _ALIGNED_SINE * max(x, y)
+
+
+def along_grid(scene: ScenesMaterial, warp_and_weft: tuple[float, float], names: str) -> tuple[float, float]:
+    """Return a quantity of warp and weft along the rows and along the columns of a grid.
+
+    Args:
+        scene: gives the direction of the warp.
+        warp_and_weft: the quantity.
+        names: the parameters of the quantity, for the error.
+
+    Raises:
+        ParameterError: if the two differ and the warp is along neither rows nor columns.
+    """
+    warp, weft = warp_and_weft
+    if warp == weft:
+        return warp, weft
+    x, y, _ = map(abs, scene.material.warp_direction)
+    if not is_oblique(scene):
+        return (weft, warp) if y > x else (warp, weft)
+    raise ParameterError(
+        f"material.warp_direction is {list(scene.material.warp_direction)}, and {names} is {warp} along the warp and "
+        f"{weft} along the weft; a grid's springs follow its rows and columns: set the direction along one of them, "
+        "e.g. [0.0, 1.0, 0.0], or both equal"
+    )

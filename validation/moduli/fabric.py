@@ -1,0 +1,240 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Strips cut at angles to the warp against laminate theory, and affine patches.
+
+A strip has a uniform traction at its ends and is free to shear. Its modulus at the angle θ to the warp is this one
+(Jones, Mechanics of Composite Materials, 1999, equation 2.97).
+
+    1/E(θ) = cos⁴θ / E1 + (1/G - 2 ν/E1) cos²θ sin²θ + sin⁴θ / E2.
+
+In a patch with affine motion of its border, every particle moves affinely.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import Delaunay
+
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.scene.scene import Scene
+from validation.report import Report, Table
+
+ANGLES = tuple(range(0, 91, 15))
+MESHES = ("grid", "equilateral", "irregular")
+#: Length and width of a strip [m].
+LENGTH, WIDTH = 1.0, 0.1
+#: A woven fabric: moduli along warp and weft, shear [N/m], Poisson's ratio.
+WARP, WEFT, SHEAR, POISSON = 4.0e3, 1.5e3, 120.0, 0.25
+#: Largest error of a strip's modulus, and of a particle of a patch over the size of the patch.
+MAX_STRIP_ERROR, MAX_PATCH_ERROR = 0.01, 1e-10
+_STRAIN = 1e-4
+_MAX_ITERATIONS, _CONVERGED = 50, 1e-13
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class FlatSheet:
+    """Membrane of a flat sheet alone, and its border."""
+
+    plan: Plan
+    force: MembraneTriangles
+    positions: Array
+    """Rest positions [m], (n, 2)."""
+
+    def forces(self, x: Array) -> Array:
+        """Return the forces [N] at positions (n, 2), (n, 2)."""
+        at, out = self._lifted(x), np.empty((3, len(x)))
+        self.plan.accelerations(0.0, at, np.zeros_like(at), out)
+        return np.asarray((out * self.plan.model.masses)[:2].T)
+
+    def solve(self, x: Array, load: Array, fixed: NDArray[np.bool_]) -> Array:
+        """Return the positions of equilibrium (n, 2) under a load [N], (n, 2), by Newton's iteration.
+
+        Args:
+            x: start.
+            load: force on each particle.
+            fixed: coordinates that keep their start, (n, 2).
+
+        Raises:
+            ValueError: without convergence.
+        """
+        x, free = x.copy(), np.flatnonzero(~fixed.ravel())
+        for _ in range(_MAX_ITERATIONS):
+            residual = (self.forces(x) + load).ravel()[free]
+            correction = spsolve(self._stiffness(x)[free][:, free].tocsc(), residual)
+            x.reshape(-1)[free] += correction
+            if np.abs(correction).max() < _CONVERGED:
+                return x
+        raise ValueError(f"no equilibrium within {_MAX_ITERATIONS} iterations")
+
+    def _stiffness(self, x: Array) -> coo_matrix:
+        triangles = self.force.triangles
+        blocks = self.plan.pair_blocks(0, 3 * len(triangles), self._lifted(x), 1.0, 0.0).reshape(-1, 3, 3)[:, :2, :2]
+        pairs = np.stack([triangles[:, [0, 1]], triangles[:, [0, 2]], triangles[:, [1, 2]]], axis=1).reshape(-1, 2)
+        first, second = pairs.T
+        transposed = blocks.transpose(0, 2, 1)
+        rows = [(first, first, blocks), (second, second, transposed), (first, second, -blocks)]
+        rows.append((second, first, -transposed))
+        entries = [(value[:, r, c], 2 * i + r, 2 * j + c) for i, j, value in rows for r in (0, 1) for c in (0, 1)]
+        values, i, j = (np.concatenate(part) for part in zip(*entries, strict=True))
+        return coo_matrix((values, (i, j)), shape=(2 * len(x), 2 * len(x))).tocsr()
+
+    def _lifted(self, x: Array) -> Array:
+        return np.ascontiguousarray(np.concatenate((x, np.zeros((len(x), 1))), axis=1).T)
+
+
+def flat_sheet(mesh: str, angle: float, *, cells: int = 6, length: float = LENGTH, seed: int = 0) -> FlatSheet:
+    """Return a strip along y of a width of `cells` cells, whose warp is `angle` [degrees] from its length.
+
+    Args:
+        mesh: grid, equilateral or irregular.
+        angle: angle between length and warp.
+        cells: number of cells across.
+        length: length [m].
+        seed: seed of an irregular mesh.
+    """
+    values = {
+        "membrane.model": "triangles",
+        "bending.model": "none",
+        "material.stretch_modulus": WARP,
+        "material.stretch_modulus_weft": WEFT,
+        "material.shear_modulus": SHEAR,
+        "material.poisson_ratio": POISSON,
+        "material.warp_direction": [-math.sin(math.radians(angle)), math.cos(math.radians(angle)), 0.0],
+        "cloth.anchors": [""],
+    }
+    files = {}
+    if mesh == "grid":
+        rows = round(length / WIDTH * cells) + 1
+        values |= {"cloth.size": [length, WIDTH], "cloth.resolution": [rows, cells + 1]}
+    else:
+        values["cloth.mesh"] = "strip.obj"
+        files["strip.obj"] = _mesh_file(mesh, cells, length, seed)
+    scene = Scene.from_parameters(values, files=files)
+    force = scene.model().force("membrane")
+    assert isinstance(force, MembraneTriangles)
+    positions = scene.sheet.positions()[:, :2]
+    return FlatSheet(plan=compile(Model(scene.sheet.masses(1.0), [force])), force=force, positions=positions)
+
+
+def strip_modulus(sheet: FlatSheet) -> float:
+    """Return Young's modulus of a strip along y [N/m]: traction at its ends over the strain between them."""
+    x, y = sheet.positions.T
+    top, bottom = np.isclose(y, y.max()), np.isclose(y, y.min())
+    load = np.zeros_like(sheet.positions)
+    traction = _STRAIN * WARP
+    for end, sign in ((top, 1.0), (bottom, -1.0)):
+        nodes = np.flatnonzero(end)
+        nodes = nodes[np.argsort(x[nodes])]
+        half = 0.5 * np.diff(x[nodes])
+        load[nodes[:-1], 1] += sign * traction * half
+        load[nodes[1:], 1] += sign * traction * half
+    fixed = np.zeros(load.shape, dtype=bool)
+    corners = np.flatnonzero(bottom)
+    left, right = corners[np.argmin(x[corners])], corners[np.argmax(x[corners])]
+    fixed[left], fixed[right, 1] = True, True
+    moved = sheet.solve(sheet.positions, load, fixed)
+    # The load is in equilibrium, so that the fixed coordinates bear nothing, and the motion is affine.
+    ones = np.ones(len(x))
+    gradient = np.linalg.lstsq(np.stack((x, y, ones), axis=1), moved - sheet.positions, rcond=None)[0]
+    return float(traction / gradient[1, 1])
+
+
+def laminate_modulus(angle: float) -> float:
+    """Return E(θ) [N/m] at an angle [degrees]."""
+    c, s = math.cos(math.radians(angle)) ** 2, math.sin(math.radians(angle)) ** 2
+    return 1.0 / (c * c / WARP + (1.0 / SHEAR - 2.0 * POISSON / WARP) * c * s + s * s / WEFT)
+
+
+def patch_error(sheet: FlatSheet) -> float:
+    """Return the largest distance of a particle from an affine motion of the border, over the size of the patch."""
+    x, y = sheet.positions.T
+    affine = sheet.positions @ np.array([[1.05, 0.08], [0.03, 1.1]])
+    border = np.isclose(x, x.min()) | np.isclose(x, x.max()) | np.isclose(y, y.min()) | np.isclose(y, y.max())
+    spacing = math.sqrt(2.0 * float(sheet.force.areas.mean()))
+    start = affine + 0.1 * spacing * np.random.default_rng(3).uniform(-1.0, 1.0, affine.shape) * ~border[:, None]
+    solved = sheet.solve(start, np.zeros_like(start), np.repeat(border[:, None], 2, axis=1))
+    return float(np.abs(solved - affine).max() / np.ptp(affine, axis=0).max())
+
+
+def _mesh_file(mesh: str, cells: int, length: float, seed: int) -> bytes:
+    """Return an OBJ file of a strip in the x-y plane."""
+    points = _equilateral_points(cells, length) if mesh == "equilateral" else _irregular_points(cells, length, seed)
+    corners = Delaunay(points).simplices
+    a, b, c = (points[corners[:, i]] for i in range(3))
+    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    corners = np.where((area < 0.0)[:, None], corners[:, ::-1], corners)[np.abs(area) > 1e-9]
+    lines = [f"v {x!r} {y!r} 0" for x, y in points.tolist()]
+    lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in corners.tolist()]
+    return "\n".join(lines).encode()
+
+
+def _equilateral_points(cells: int, length: float) -> Array:
+    """Rows of points half a side apart, of triangles that are equilateral but for the rounding to the length."""
+    spacing = WIDTH / cells
+    rows = round(length / (spacing * math.sqrt(0.75)))
+    points = []
+    for row in range(rows + 1):
+        inner = np.arange(cells + 1) * spacing if row % 2 == 0 else (np.arange(cells) + 0.5) * spacing
+        across = inner if row % 2 == 0 else np.concatenate(([0.0], inner, [WIDTH]))
+        points += [(float(x), row * length / rows) for x in across]
+    return np.array(points)
+
+
+def _irregular_points(cells: int, length: float, seed: int) -> Array:
+    """Points of a grid of cells that are moved by up to a third of a side, those of the border along it."""
+    spacing = WIDTH / cells
+    rows = round(length / spacing)
+    x, y = (
+        axis.ravel() for axis in np.meshgrid(np.linspace(0.0, WIDTH, cells + 1), np.linspace(0.0, length, rows + 1))
+    )
+    moves = spacing / 3.0 * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, len(x)))
+    on_side = (x == 0.0) | (x == WIDTH)
+    on_end = (y == 0.0) | (y == length)
+    return np.stack((x + moves[0] * ~on_side, y + moves[1] * ~on_end), axis=1)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--cells", type=int, default=6, help="cells across a strip (default: %(default)s)")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure strips and patches."""
+    if not 2 <= options.cells <= 100:
+        raise ValueError(f"--cells is {options.cells}; it must be from 2 to 100")
+    failures = []
+    strips = Table("Relative error of the modulus of strips of 10:1 by laminate theory", ["angle [degrees]", *MESHES])
+    for angle in ANGLES:
+        ratios = [
+            strip_modulus(flat_sheet(mesh, angle, cells=options.cells)) / laminate_modulus(angle) for mesh in MESHES
+        ]
+        strips.rows.append([angle, *(ratio - 1.0 for ratio in ratios)])
+        failures += [
+            f"strip at {angle} degrees of the {mesh} mesh: {ratio:.4f} of laminate theory"
+            for mesh, ratio in zip(MESHES, ratios, strict=True)
+            if abs(ratio - 1.0) > MAX_STRIP_ERROR
+        ]
+    patches = Table("Largest deviation from an affine motion over the size of the patch", ["mesh", "deviation"])
+    for mesh in MESHES:
+        error = patch_error(flat_sheet(mesh, 30.0, cells=options.cells, length=2.0 * WIDTH))
+        patches.rows.append([mesh, error])
+        if error > MAX_PATCH_ERROR:
+            failures.append(f"patch of the {mesh} mesh deviates by {error:.2g}")
+    note = f"warp {WARP:g}, weft {WEFT:g}, shear {SHEAR:g} N/m, Poisson's ratio {POISSON:g}; strain {_STRAIN:g}"
+    return Report(
+        "Moduli of woven strips",
+        "python -m validation fabric-moduli",
+        tables=[strips, patches],
+        notes=[note],
+        failures=failures,
+    )
