@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 22
+ABI = 23
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -52,6 +52,8 @@ KINDS = {
     "quad": (5, 4, 0),
     "edge_edge": (6, 4, 3),
     "point_face": (7, 4, 3),
+    "mass_triangle": (8, 3, 0),
+    "mass_quad": (9, 4, 0),
 }
 #: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
@@ -121,6 +123,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_frame": (_INT, _P, ctypes.POINTER(FrameRequest)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
+    "cloth_mass_blocks": (_INT, _P, _P, _P),
     "cloth_powers": (_INT, _P, _D, _P, _P, _P),
     "cloth_grip_wrenches": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_prescribe": (_INT, _P, _D, _P, _P, _P),

@@ -6,12 +6,13 @@
 #pragma once
 
 #include "core/thread_pool.hpp"
+#include "mesh/added_mass.hpp"
 #include "plan/off_grid_forces.hpp"
 
 namespace cloth::mesh {
 
-using grid::StepFactors, plan::evaluation, plan::final_value, plan::OffGridForces, plan::Plan, plan::Run,
-    plan::RunStatus;
+using plan::Partition, grid::StepFactors, plan::evaluation, plan::final_value, plan::OffGridForces, plan::Plan,
+    plan::Run, plan::RunStatus;
 
 /// With `Evaluate` a single evaluation at x0 and v0, which returns accelerations in place of velocities.
 template <class T, bool Evaluate>
@@ -88,12 +89,14 @@ private:
             f[4 * rank] += force.x, f[4 * rank + 1] += force.y, f[4 * rank + 2] += force.z;
         }
         off_grid_.add_contact(thread, step, f);
+        if (off_grid_.has_prescribed() && plan_.has_added_mass()) hold(step, thread);
         return RunStatus::ok;
     }
     void move(std::int64_t step, int thread) {
         // Loaded once, because the compiler has to assume that the stores in the loop alias these pointers.
         const T *const f = (*off_grid_.partitions)[thread].f.data(), *const inverse = inverse_.data(),
                        *const free = free_.data();
+        const T* const mass = plan_.has_added_mass() ? (*off_grid_.partitions)[thread].mass_blocks.data() : nullptr;
         T *const position_quads = off_grid_.x.data(), *const damping_v = off_grid_.v.data();
         T *const velocity = velocity_.data(), *const previous_a = previous_acceleration_.data(),
                  *const carry = compensation_.data();
@@ -107,7 +110,11 @@ private:
         for (std::int64_t p = borders_[thread]; p < borders_[thread + 1]; ++p) {
             const std::int64_t i = 4 * p;
             const quad<T> field = fma(drag, load4(damping_v + i), body_acceleration);
-            const quad<T> a = fma(all(free[p]), field, all(inverse[p]) * load4(f + i));
+            quad<T> a = fma(all(free[p]), field, all(inverse[p]) * load4(f + i));
+            if (mass) {
+                const Vec3<T> carried = laws::accelerated(mass_block(mass + 2 * i), inverse[p], {a[0], a[1], a[2]});
+                a = quad<T>{carried.x, carried.y, carried.z, T(0)};
+            }
             const quad<T> v = fma(kick, a, load4(velocity + i));
             store4(velocity + i, v);
             store4(damping_v + i, quad<T>(fma(predict, a, fma(predict_previous, load4(previous_a + i), v))));
@@ -126,6 +133,18 @@ private:
         if (run_.ends_first_half(step))
             std::copy(velocity + 4 * borders_[thread], velocity + 4 * borders_[thread + 1],
                       middle_.data() + 4 * borders_[thread]);
+    }
+    /// The air at prescribed particles moves as they do: its inertia is a force on them.
+    void hold(std::int64_t step, int thread) {
+        Partition<T>& partition = (*off_grid_.partitions)[thread];
+        for (std::int64_t grip = 0; grip < plan_.grips.count(); ++grip) {
+            const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]];
+            if (!plan_.grips.prescribed[grip] || rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
+            T *const block = partition.mass_blocks.data() + 8 * rank, *const f = partition.f.data() + 4 * rank;
+            const Vec3<T> inertia = off_grid_.air_inertia(grip, step, mass_block(block));
+            f[0] -= inertia.x, f[1] -= inertia.y, f[2] -= inertia.z;
+            std::fill_n(block, 8, T(0));
+        }
     }
     /// Move prescribed particles to their points after a step.
     void prescribe(std::int64_t step, int thread) {
