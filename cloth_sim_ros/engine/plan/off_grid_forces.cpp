@@ -325,7 +325,12 @@ void OffGridForces<T>::finish() {
     if (!run.gripper_record) return;
     if (has_prescribed()) {
         const double end = run.t + static_cast<double>(run.steps) * run.step;
+        Array<double> blocks(plan.has_added_mass() ? 6 * plan.count : 0);
+        if (!blocks.empty()) mass_blocks(plan, run.x0, blocks.data());
         plan.grips.for_each_prescribed(run.t, [&](std::int64_t grip, const Grips::Point& from) {
+            if (!blocks.empty())
+                plan.grips.accumulate_air_jump(grip_sums.data() + grip * record_numbers, grip, from,
+                                               block_of(blocks.data(), plan.count, plan.grips.particle[grip]));
             plan.grips.accumulate_inertia(grip_sums.data() + grip * record_numbers, grip, from,
                                           plan.grips.point_at(grip, end), plan.masses[plan.grips.particle[grip]]);
         });

@@ -38,8 +38,7 @@ inline double mass_product(const Plan& plan, const double* a, const double* b, c
     }
     for (double sum : sums) total += sum;
     for (std::int64_t i = 0; air && i < n; ++i) {
-        const Sym3<double> block{air[i], air[n + i], air[2 * n + i], air[3 * n + i], air[4 * n + i], air[5 * n + i]};
-        total += dot(particle(a, n, i), product(block, particle(b, n, i)));
+        total += dot(particle(a, n, i), product(block_of(air, n, i), particle(b, n, i)));
     }
     return total;
 }

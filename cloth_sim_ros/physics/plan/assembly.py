@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 #: cell. They include gathering. Choices that depend on them are the same on every machine.
 MOVE_OPERATIONS, GRID_SPRING_OPERATIONS = 40, 26
 GRID_CELL_OPERATIONS = {"quad": 45, "mass_quad": 140}
+#: Element kinds of added mass.
+MASS_KINDS = ("mass_triangle", "mass_quad")
 #: Element kinds whose forces multirate runs evaluate less often.
 HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}

@@ -33,6 +33,7 @@ class PlanQueries:
 
     model: Model
     contact: ContactBinding | None
+    carries_air: bool
     _library: ctypes.CDLL
     _handle: int
     _shape: tuple[int, int]
@@ -149,6 +150,22 @@ class PlanQueries:
         """Return kinetic plus potential energy [J] at time t [s]."""
         kinetic, potential = self.energies(t, x, v, memory)
         return kinetic + potential
+
+    def mass_blocks(self, x: Array) -> Array:
+        """Return the mass blocks of the air that the cloth carries along at x [kg], shape (6, n)."""
+        blocks = np.empty((6, self.model.particle_count))
+        check(self._library.cloth_mass_blocks(self._handle, doubles("x", x, self._shape), address(blocks)))
+        return blocks
+
+    def momenta(self, x: Array, v: Array) -> Array:
+        """Return the momenta ``M v`` [kg m/s] of cloth and air at x, shape (3, n); v relative to the air counts as v."""
+        momenta = self.model.masses * v
+        if self.carries_air:
+            xx, yy, zz, xy, xz, yz = self.mass_blocks(x)
+            momenta[0] += xx * v[0] + xy * v[1] + xz * v[2]
+            momenta[1] += xy * v[0] + yy * v[1] + yz * v[2]
+            momenta[2] += xz * v[0] + yz * v[1] + zz * v[2]
+        return momenta
 
     def powers(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> tuple[float, float]:
         """Return the dissipated power and the power of moving air [W]; joints of grippers are not included."""
