@@ -78,6 +78,8 @@ class Assembly:
                 if isinstance(part, SpringGrid):
                     grids.append(part)
                 elif isinstance(part, ElementList):
+                    if part.kind in MASS_KINDS and any(other.kind in MASS_KINDS for other in assembly.element_lists):
+                        raise ValueError("two forces of a model have added mass; merge their panels into one")
                     assembly.element_lists.append(part)
                 elif isinstance(part, ContactPart):
                     if assembly.contact is not None:
