@@ -132,8 +132,8 @@ def test_second_force_of_added_mass_is_refused():
 
 def test_still_air_leaves_bounds_unchanged():
     plan, x, _ = scene((7, 38), wind=(0.0, 0.0, 0.0))
-    others = [force for force in plan.model.forces if not isinstance(force, AddedMass)]
-    without = compile(Model(plan.model.masses, others, anchors=plan.model.anchors))
+    other_forces = [force for force in plan.model.forces if not isinstance(force, AddedMass)]
+    without = compile(Model(plan.model.masses, other_forces, anchors=plan.model.anchors))
     assert plan.spectral_bounds(x) == without.spectral_bounds(x)
     assert scene((7, 38), wind=(30.0, 0.0, 0.0))[0].spectral_bounds(x)[1] > 1.01 * plan.spectral_bounds(x)[1]
 

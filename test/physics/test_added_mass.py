@@ -126,6 +126,37 @@ def test_wind_carries_the_air_with_it() -> None:
     assert blown[1] - wind[:, None] == pytest.approx(still[1], abs=1e-9)
 
 
+def taut_strip_frequency(wind: float) -> float:
+    """Lowest angular frequency of a taut strip of two threads in a wind along it, from the linearised equations."""
+    columns, spacing, free = 41, 0.025, slice(1, 40)
+    families = [
+        GridFamily(name=name, stiffness=20.0, rest_length=rest_length)
+        for name, rest_length in (("right", 0.02), ("down", 1.0))
+    ]
+    cells = grid_cells(2, columns)
+    forces = [GridSprings(2, columns, tuple(families)), AddedMass(cells, density=DENSITY, wind=(wind, 0.0, 0.0))]
+    plan = compile(Model(np.full(2 * columns, MASS), forces))
+    row, column = np.divmod(np.arange(2 * columns), columns)
+    x, v, a = np.stack([spacing * column, 1.0 * row, 0.0 * row]), np.zeros((3, 2 * columns)), np.empty((3, 2 * columns))
+    size, n = 1e-6, 39
+    matrix = np.zeros((2 * n, 2 * n))
+    matrix[:n, n:] = np.eye(n)
+    for k in range(2 * n):
+        at, speed = x.copy(), v.copy()
+        (at if k < n else speed)[2].reshape(2, columns)[:, 1 + k % n] = size
+        plan.accelerations(0.0, at, speed, a)
+        matrix[n:, k] = a[2].reshape(2, columns)[0, free] / size
+    return float(np.abs(np.linalg.eigvals(matrix).imag).min())
+
+
+@pytest.mark.parametrize("wind", [0.0, 0.5, 1.0, 1.5])
+def test_wind_along_a_taut_strip_slows_waves(wind: float) -> None:
+    # Per length: mass of a thread, air at it, tension. Waves obey (m + a) w^2 - 2 a U k w + (a U^2 - tension) k^2 = 0.
+    m, air, tension, length = MASS / 0.025, 0.5 * DENSITY * 1.0, 20.0 * 0.25, 1.0
+    expected = math.pi / length * (tension - air * wind**2) / math.sqrt(tension * (m + air) - m * air * wind**2)
+    assert taut_strip_frequency(wind) == pytest.approx(expected, rel=2e-3)
+
+
 @pytest.mark.parametrize("panels", [CELLS, TRIANGLES])
 @pytest.mark.parametrize("listed", [False, True])
 @pytest.mark.parametrize("n_runs", [1, 2, 3])
@@ -199,7 +230,7 @@ def test_prescribed_particles_carry_air(listed: bool, panels: Array) -> None:
     plan, start, counts = carried.plan, (carried.x, carried.v), (600, 800, 1000)
     runs, result = plan.runs(0.0, FRAME, start, counts, weights=weights(counts), record_power=True)
     assert result is not None
-    record = sum(w * one.integrals for w, one in zip(weights(counts), runs, strict=True))
+    record = sum(w * part.integrals for w, part in zip(weights(counts), runs, strict=True))
     momentum = plan.momenta(result[0], result[1]).sum(axis=1) - plan.momenta(*start).sum(axis=1)
     # The record has the impulse of the cloth on the gripper.
     assert -np.asarray(record[:3]) == pytest.approx(momentum, abs=1e-8)
@@ -233,7 +264,7 @@ def test_air_drags_and_carries_in_one_scene() -> None:
     plan, start = sheet(drag, wind=(1.0, 0.0, 0.0)), moving_state()
     runs, result = plan.runs(0.0, FRAME, start, (300, 400, 500), weights=weights((300, 400, 500)), record_power=True)
     assert result is not None
-    record = sum(w * one.integrals for w, one in zip(weights((300, 400, 500)), runs, strict=True))
+    record = sum(w * part.integrals for w, part in zip(weights((300, 400, 500)), runs, strict=True))
     gain = plan.energy(FRAME, result[0], result[1]) - plan.energy(0.0, *start)
     assert record[0] > 1e-4
     assert gain + record[0] - record[1] == pytest.approx(0.0, abs=1e-7)

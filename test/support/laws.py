@@ -208,8 +208,8 @@ def lagrange_accelerations(masses, panels, density, wind, x, v):
         return 0.5 * float(np.sum(masses * speed * speed)) + air_energy(at, speed, panels, density, wind)
 
     def slope(function, h=1e-5):
-        near, far = function(h) - function(-h), function(2.0 * h) - function(-2.0 * h)
-        return (8.0 * near - far) / (12.0 * h)
+        single, double = function(h) - function(-h), function(2.0 * h) - function(-2.0 * h)
+        return (8.0 * single - double) / (12.0 * h)
 
     def momenta(at, speed):
         return np.array([0.5 * (energy(at, speed + unit) - energy(at, speed - unit)) for unit in units])

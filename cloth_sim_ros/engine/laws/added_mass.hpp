@@ -139,14 +139,14 @@ struct AddedMass {
 /// air.
 template <class V>
 CLOTH_INLINE Vec3<V> accelerated(const Sym3<V>& block, V inverse_mass, Vec3<V> a) {
-    const V one = splat<V>(1);
-    const V xx = fma(inverse_mass, block.xx, one), yy = fma(inverse_mass, block.yy, one),
-            zz = fma(inverse_mass, block.zz, one);
+    const V identity = splat<V>(1);
+    const V xx = fma(inverse_mass, block.xx, identity), yy = fma(inverse_mass, block.yy, identity),
+            zz = fma(inverse_mass, block.zz, identity);
     const V xy = inverse_mass * block.xy, xz = inverse_mass * block.xz, yz = inverse_mass * block.yz;
     // Cofactors of the symmetric matrix.
     const V cxx = fma(yy, zz, -(yz * yz)), cxy = fma(xz, yz, -(xy * zz)), cxz = fma(xy, yz, -(xz * yy));
     const V cyy = fma(xx, zz, -(xz * xz)), cyz = fma(xy, xz, -(xx * yz)), czz = fma(xx, yy, -(xy * xy));
-    const V unit = one / fma(xz, cxz, fma(xy, cxy, xx * cxx));
+    const V unit = identity / fma(xz, cxz, fma(xy, cxy, xx * cxx));
     return unit *
            Vec3<V>{dot(Vec3<V>{cxx, cxy, cxz}, a), dot(Vec3<V>{cxy, cyy, cyz}, a), dot(Vec3<V>{cxz, cyz, czz}, a)};
 }

@@ -424,11 +424,17 @@ class ImplicitAdvance:
         positions, a = x + d * u, np.empty_like(x)
         self._plan.accelerations(t, positions, u, a, memory)
         self._evaluations += 1
-        if self._plan.contact is not None and not np.isfinite(a).all():
+        if (self._plan.contact is not None or self._plan.carries_air) and not np.isfinite(a).all():
             # Inside an obstacle there is no correction.
             return np.full_like(a, np.nan)
         correction = self._plan.momenta(positions, v + d * a - u) * self._is_free
-        self._matrix.update(t, positions, d, memory, self._prescribed)
+        try:
+            self._matrix.update(t, positions, d, memory, self._prescribed)
+        except UnstableError:
+            if not self._plan.carries_air:
+                raise
+            # Forces of carried air grow with the square of the speed, so that the iteration may diverge.
+            return np.full_like(a, np.nan)
         self._matrix.solve(correction)
         return correction
 

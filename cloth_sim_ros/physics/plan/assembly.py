@@ -78,7 +78,9 @@ class Assembly:
                 if isinstance(part, SpringGrid):
                     grids.append(part)
                 elif isinstance(part, ElementList):
-                    if part.kind in MASS_KINDS and any(other.kind in MASS_KINDS for other in assembly.element_lists):
+                    if part.kind in MASS_KINDS and any(
+                        elements.kind in MASS_KINDS for elements in assembly.element_lists
+                    ):
                         raise ValueError("two forces of a model have added mass; merge their panels into one")
                     assembly.element_lists.append(part)
                 elif isinstance(part, ContactPart):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import RECORD_NUMBERS, address, check, doubles, writable
+from cloth_sim_ros.physics.arithmetic.arrays import weighted_dot
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.model import Model
@@ -158,7 +159,7 @@ class PlanQueries:
         return blocks
 
     def momenta(self, x: Array, v: Array) -> Array:
-        """Return the momenta ``M v`` [kg m/s] of cloth and air at x, shape (3, n); v relative to the air counts as v."""
+        """Return the momenta ``M v`` [kg m/s] of cloth and air at x, shape (3, n), for velocities relative to the air."""
         momenta = self.model.masses * v
         if self.carries_air:
             xx, yy, zz, xy, xz, yz = self.mass_blocks(x)
@@ -166,6 +167,13 @@ class PlanQueries:
             momenta[1] += xy * v[0] + yy * v[1] + yz * v[2]
             momenta[2] += xz * v[0] + yz * v[1] + zz * v[2]
         return momenta
+
+    def air_energy(self, x: Array, v: Array) -> float:
+        """Return the part of the kinetic energy that the air has, which the cloth carries along [J]."""
+        if not self.carries_air:
+            return 0.0
+        masses = self.model.masses
+        return 0.5 * weighted_dot(np.ones_like(masses), self.momenta(x, v) - masses * v, v)
 
     def powers(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> tuple[float, float]:
         """Return the dissipated power and the power of moving air [W]; joints of grippers are not included."""

@@ -63,8 +63,8 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (("material.bending_modulus",), lambda scene: scene.bending.model == "none", "bending.model is none"),
     (
         ("wind.velocity",),
-        lambda scene: not (
-            scene.air.drag or scene.air.added_mass or scene.wind.normal_drag or scene.wind.tangential_drag
+        lambda scene: (
+            not (scene.air.drag or scene.air.added_mass or scene.wind.normal_drag or scene.wind.tangential_drag)
         ),
         "air.drag, air.added_mass, wind.normal_drag and wind.tangential_drag are all 0",
     ),
