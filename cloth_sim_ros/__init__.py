@@ -92,8 +92,8 @@ _MODULES = {
 }
 
 __all__ = [
-    "Advance",
     "AddedMass",
+    "Advance",
     "AirPanels",
     "AltitudeSprings",
     "CandidateSprings",

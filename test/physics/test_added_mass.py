@@ -207,6 +207,45 @@ def test_leapfrog_energy_counts_the_mass_of_air() -> None:
     assert abs(last - first) < 0.1 * abs(energies[1] - energies[0])
 
 
+@pytest.mark.parametrize("corners", [3, 4])
+@pytest.mark.parametrize("wind", [(5.0, 0.0, 0.0), (0.0, 0.0, 5.0), (3.0, 3.0, 3.0)])
+def test_bounds_contain_forces_of_the_wind(corners: int, wind: tuple[float, float, float]) -> None:
+    rows, columns = 5, 6
+    n, cells = rows * columns, grid_cells(rows, columns)
+    panels = cells if corners == 4 else np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
+    plan = compile(Model(np.full(n, MASS), [AddedMass(panels, density=DENSITY, wind=wind)]))
+    row, column = np.divmod(np.arange(n), columns)
+    x = SPACING * (np.stack([column, row, 0 * row]) + 0.1 * np.random.default_rng(0).normal(size=(3, n)))
+    zero, size, ends = np.zeros((3, n)), 1e-6, (np.empty((3, n)), np.empty((3, n)))
+
+    def derivative(dx: Array, dv: Array) -> Array:
+        for sign, out in zip((1.0, -1.0), ends, strict=True):
+            plan.accelerations(0.0, x + sign * dx, zero + sign * dv, out)
+        return (ends[0] - ends[1]).ravel() / (2.0 * size)
+
+    units = [size * unit.reshape(3, n) for unit in np.eye(3 * n)]
+    stiffness, damping = (
+        np.abs(np.linalg.eigvals(np.array(matrix).T)).max()
+        for matrix in ([derivative(unit, zero) for unit in units], [derivative(zero, unit) for unit in units])
+    )
+    omega2, damping_rate = plan.spectral_bounds(x)
+    assert 0.03 * omega2 < stiffness < omega2
+    assert 0.1 * damping_rate < damping < damping_rate
+
+
+def test_diverging_implicit_steps_are_replaced() -> None:
+    # A crumpled start explodes, and forces of the air grow with the square of the speed.
+    stiff = [GridFamily(name=name, stiffness=3e4, rest_length=SPACING, damping=0.05) for name in ("right", "down")]
+    plan = compile(
+        Model(np.full(ROWS * COLUMNS, MASS), [GridSprings(ROWS, COLUMNS, stiff), AddedMass(CELLS, density=DENSITY)])
+    )
+    x = 0.02 * np.random.default_rng(1).normal(size=(3, ROWS * COLUMNS))
+    state = State(x.T)
+    make_integrator("implicit", tolerance=1e-3).advance(plan, state, 0.0, FRAME)
+    assert np.isfinite(state.x).all()
+    assert plan.energy(0.0, state.x, state.v) < 1.01 * plan.energy(0.0, x, np.zeros_like(x))
+
+
 class Carried:
     """Sheet in air whose corner a gripper carries by prescribed motion."""
 

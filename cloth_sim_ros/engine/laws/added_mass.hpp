@@ -130,7 +130,7 @@ struct AddedMass {
         const V square = norm2(p.wind), diameter = root(longest);
         const V area = larger(normal(d).length, splat<V>(scalar<V>(1e-3)) * longest);
         const V corner = splat<V>(scalar<V>(1) / Corners) * p.density;
-        const V stiff = corner * square * longest / area, damp = corner * root(square) * diameter;
+        const V stiff = splat<V>(3) * corner * square * longest / area, damp = corner * root(square) * diameter;
         for (int i = 0; i < Corners; ++i) b[i] = {Sym3<V>{}, Sym3<V>{damp, damp, damp, V{}, V{}, V{}}, V{}, stiff};
     }
 };

@@ -25,8 +25,8 @@ from cloth_sim_ros.physics.model.parts import ContactPart, ElementList, SpringGr
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.model.forces.contact import Contact
 
-#: Arithmetic operations of a step: to move a particle, of a grid's spring, of an air panel and of added mass on a grid's
-#: cell. They include gathering. Choices that depend on them are the same on every machine.
+#: Arithmetic operations of a step: to move a particle, of a grid's spring, of an air panel and of added mass on a cell
+#: of a grid. They include gathering. Choices that depend on them are the same on every machine.
 MOVE_OPERATIONS, GRID_SPRING_OPERATIONS = 40, 26
 GRID_CELL_OPERATIONS = {"quad": 45, "mass_quad": 140}
 #: Element kinds of added mass.

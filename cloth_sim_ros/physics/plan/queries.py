@@ -159,7 +159,7 @@ class PlanQueries:
         return blocks
 
     def momenta(self, x: Array, v: Array) -> Array:
-        """Return the momenta ``M v`` [kg m/s] of cloth and air at x, shape (3, n), for velocities relative to the air."""
+        """Return the momenta ``M v`` [kg m/s] of cloth and air at x, v relative to the air, shape (3, n)."""
         momenta = self.model.masses * v
         if self.carries_air:
             xx, yy, zz, xy, xz, yz = self.mass_blocks(x)

@@ -23,9 +23,9 @@ class AddedMass(EngineForce):
         T = rho / 2 sum of A/k (n . (v - w))^2
 
     over the k corners of each panel. A is the panel's present area, n its unit normal, v the corner's velocity and w
-    the wind. By Lagrange's equations each particle has the mass matrix ``m 1 + sum of rho A/k n n'``. They add forces of
-    second degree in the velocities (docs/derivations/added_mass.md). The air has no weight. A panel without area carries
-    none.
+    the wind. By Lagrange's equations each particle has the mass matrix ``m 1 + sum of rho A/k n n'``. They add forces
+    of second degree in the velocities (docs/derivations/added_mass.md). The air has no weight. A panel without area
+    carries none.
 
     The conserved energy has the kinetic part ``v'Mv / 2`` and the potential ``-w'Mw / 2``, with the mass matrix M of
     the air.
