@@ -246,6 +246,28 @@ def test_diverging_implicit_steps_are_replaced() -> None:
     assert plan.energy(0.0, state.x, state.v) < 1.01 * plan.energy(0.0, x, np.zeros_like(x))
 
 
+def test_displacement_by_velocity_errors_counts_the_air() -> None:
+    from scipy.linalg import eigh
+
+    plan, (x, _) = sheet(), moving_state()
+    size, n, time = 1e-6, ROWS * COLUMNS, 0.5
+    ends, zero = (np.empty((3, n)), np.empty((3, n))), np.zeros((3, n))
+    mass, change = np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n))
+    for k, unit in enumerate(np.eye(3 * n)):
+        direction = unit.reshape(3, n)
+        mass[:, k] = plan.momenta(x, direction).ravel()
+        for sign, out in zip((1.0, -1.0), ends, strict=True):
+            plan.accelerations(0.0, x + sign * size * direction, zero, out)
+        change[:, k] = (ends[1] - ends[0]).ravel() / (2.0 * size)
+    stiffness = mass @ change
+    values, modes = eigh(0.5 * (stiffness + stiffness.T), mass)
+    envelope = modes * (np.maximum(values, 0.0) + 1.0 / time**2) ** -0.5 @ modes.T @ mass
+    errors = 1e-4 * np.random.default_rng(2).normal(size=(3, n))
+    exact = float(np.linalg.norm((envelope @ errors.ravel()).reshape(3, n), axis=0).max())
+    estimate, _ = plan.velocity_displacement(0.0, x, errors, time)
+    assert 0.7 * exact < estimate < 2.0 * exact
+
+
 class Carried:
     """Sheet in air whose corner a gripper carries by prescribed motion."""
 
