@@ -176,11 +176,11 @@ def test_combinations_of_runs_have_their_order(panels: Array, listed: bool, n_ru
 def test_multirate_runs_keep_second_order(listed: bool) -> None:
     n = ROWS * COLUMNS
     hinges = np.array([[i + 1, i + COLUMNS, i, i + COLUMNS + 1] for i in range(n - COLUMNS - 1) if (i + 1) % COLUMNS])
-    bending = AltitudeSprings(hinges, np.zeros(len(hinges)), np.full(len(hinges), 20.0), np.full(len(hinges), 0.05))
+    bending = AltitudeSprings(hinges, np.zeros(len(hinges)), np.full(len(hinges), 20.0), np.full(len(hinges), 0.5))
     plan, start = sheet(bending, damping=1.0, listed=listed), moving_state()
     reference = dop853(plan, 0.0, FRAME, MotionState(*start))
-    errors = [float(np.abs(run(plan, start, steps, multirate=3)[0] - reference.x).max()) for steps in (150, 300)]
-    assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.4)
+    errors = [float(np.abs(run(plan, start, steps, multirate=3)[0] - reference.x).max()) for steps in (600, 1200)]
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("name", "order"), [("implicit", 2.0), ("symplectic_euler", 1.0)])
@@ -249,7 +249,9 @@ def test_diverging_implicit_steps_are_replaced() -> None:
 def test_displacement_by_velocity_errors_counts_the_air() -> None:
     from scipy.linalg import eigh
 
-    plan, (x, _) = sheet(), moving_state()
+    # Heavy air shows the inner product. Eight steps of the method bound such rough errors from below.
+    plan = compile(Model(np.full(ROWS * COLUMNS, MASS), [springs(0.0), AddedMass(CELLS, density=40.0)]))
+    x, _ = moving_state()
     size, n, time = 1e-6, ROWS * COLUMNS, 0.5
     ends, zero = (np.empty((3, n)), np.empty((3, n))), np.zeros((3, n))
     mass, change = np.empty((3 * n, 3 * n)), np.empty((3 * n, 3 * n))
@@ -265,7 +267,7 @@ def test_displacement_by_velocity_errors_counts_the_air() -> None:
     errors = 1e-4 * np.random.default_rng(2).normal(size=(3, n))
     exact = float(np.linalg.norm((envelope @ errors.ravel()).reshape(3, n), axis=0).max())
     estimate, _ = plan.velocity_displacement(0.0, x, errors, time)
-    assert 0.7 * exact < estimate < 2.0 * exact
+    assert 0.1 * exact < estimate < exact
 
 
 class Carried:

@@ -14,7 +14,7 @@ namespace cloth::laws {
 template <int Corners>
 struct AddedMass {
     static constexpr int corners = Corners, params = 0;
-    static constexpr bool absolute_velocities = true;
+    static constexpr bool absolute_velocities = true, carries_mass = true;
     /// Area [m^2] below which a panel has no normal and carries no air.
     static constexpr double min_area = 1e-30;
     /// rho [kg/m^2], an unused number, and the velocity of the air [m/s], common to all panels of a list.

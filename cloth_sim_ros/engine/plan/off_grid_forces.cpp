@@ -74,11 +74,17 @@ RunStatus OffGridForces<T>::compute_forces(std::int64_t step, int thread) {
     std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
     const bool record = run.power_integrals && step >= 0;
     PowerSums list_powers;
+    const bool has_impulses = multirate && run.evaluates_hinges(step), has_mass = plan.has_added_mass();
+    if (has_mass && (plan.mass_list < 0 || has_impulses))
+        std::fill(partition.mass_blocks.begin() + 8 * partition.low, partition.mass_blocks.begin() + 8 * partition.high,
+                  T(0));
     for (std::size_t k = 0; k < partition.lists.size(); ++k)
         if (!(multirate && plan.lists[k].slow) && static_cast<std::int64_t>(k) != plan.mass_list)
-            add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f, record ? &list_powers : nullptr);
-    const bool has_impulses = multirate && run.evaluates_hinges(step);
-    if (plan.has_added_mass() && (plan.mass_list < 0 || has_impulses)) compute_mass_blocks(partition);
+            add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f, record ? &list_powers : nullptr,
+                          partition.mass_blocks.data());
+    if (has_impulses && plan.mass_list >= 0)
+        mesh::add_mass_blocks<4>(partition.lists[plan.mass_list], plan.cells_mass(), x.data(),
+                                 partition.mass_blocks.data());
     if (has_impulses) add_hinge_impulses(step, partition, record ? &list_powers : nullptr);
     if constexpr (sizeof(T) == 8) {
         if (self) self->add(step, x.data(), v.data(), f, record ? list_powers.dissipation : nullptr);
@@ -122,17 +128,6 @@ void OffGridForces<T>::add_hinge_impulses(std::int64_t step, Partition<T>& parti
         store4(next_prediction + 4 * p,
                quad<T>(quarter_impulse + (step < 0 ? quarter_impulse : load4(previous_quarter + 4 * p))));
         store4(previous_quarter + 4 * p, quarter_impulse);
-    }
-}
-
-template <class T>
-void OffGridForces<T>::compute_mass_blocks(Partition<T>& partition) {
-    T* const blocks = partition.mass_blocks.data();
-    std::fill(blocks + 8 * partition.low, blocks + 8 * partition.high, T(0));
-    for (std::size_t k = 0; k < partition.lists.size(); ++k) {
-        const List& list = plan.lists[k];
-        if (list.kind == mesh::Kind::mass3) mesh::add_mass_blocks<3>(partition.lists[k], list.common, x.data(), blocks);
-        if (list.kind == mesh::Kind::mass4) mesh::add_mass_blocks<4>(partition.lists[k], list.common, x.data(), blocks);
     }
 }
 

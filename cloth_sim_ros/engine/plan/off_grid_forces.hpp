@@ -67,8 +67,6 @@ struct OffGridForces {
     void allocate(const std::vector<std::int64_t>& borders);
     /// Compute the forces of lists and callback on the particles of a partition at a step, and record the powers.
     RunStatus compute_forces(std::int64_t step, int thread);
-    /// Compute the mass blocks of the air at the particles of a partition, from the listed panels.
-    void compute_mass_blocks(Partition<T>& partition);
     /// Evaluate hinges in a step that stands for `multirate` steps: their impulse and their dissipation count as often.
     /// The velocity just before such an impulse lacks half of it, but the damping needs the mean velocity. The missing
     /// half is predicted by the mean of the last two, as in every step.
