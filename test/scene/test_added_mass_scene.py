@@ -48,7 +48,7 @@ def test_raw_springs_with_added_mass_are_refused() -> None:
 
 @pytest.mark.parametrize("value", [-0.1, 11.0, float("nan")])
 def test_added_mass_out_of_range_is_refused(value: float) -> None:
-    with pytest.raises(ParameterError, match="air.added_mass"):
+    with pytest.raises(ParameterError, match=r"air\.added_mass"):
         Scene.from_parameters({"air.added_mass": value})
 
 
