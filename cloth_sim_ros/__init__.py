@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
     from cloth_sim_ros.physics.integrators.implicit import Implicit
     from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
+    from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
     from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
     from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
     from cloth_sim_ros.physics.model.forces.candidates import CandidateSprings
@@ -52,6 +53,7 @@ __version__ = "0.2.0"
 
 _MODULES = {
     "Advance": "physics.integrators.base",
+    "AddedMass": "physics.model.forces.added_mass",
     "AirPanels": "physics.model.forces.air_panels",
     "AltitudeSprings": "physics.model.forces.altitude",
     "CandidateSprings": "physics.model.forces.candidates",
@@ -92,6 +94,7 @@ _MODULES = {
 }
 
 __all__ = [
+    "AddedMass",
     "Advance",
     "AirPanels",
     "AltitudeSprings",

@@ -63,6 +63,21 @@ SCENES: dict[str, dict[str, Any]] = {
         "wind.tangential_drag": 0.05,
         "diagnostics.energy": True,
     },
+    "carried air": {
+        **_GRID,
+        **_BENT,
+        "bending.model": "altitude",
+        "air.added_mass": 0.1,
+        "wind.velocity": [3.0, 1.0, 0.3],
+        "diagnostics.energy": True,
+    },
+    "carried air of a mesh": {
+        "cloth.mesh": "sheet.obj",
+        "cloth.anchors": ["0", "6"],
+        "bending.model": "opposite",
+        "air.added_mass": 0.1,
+        "gripper.radius": 0.1,
+    },
     "implicit": {
         **_GRID,
         "cloth.resolution": [6, 7],

@@ -40,7 +40,7 @@ TIMES, SHARE = 1.1, 0.02
 SHEETS = ("grid", "mesh")
 #: Bending models, of which a cloth has at most one.
 BENDINGS = ("opposite", "crossed", "altitude")
-FEATURES = (*BENDINGS, "air", "gripper", "numpy", "energy")
+FEATURES = (*BENDINGS, "air", "added-mass", "gripper", "numpy", "energy")
 #: Fixed step as a share of the smallest stability limit of the compared cloths.
 _STEP_SHARE = 0.8
 #: Frames of one turn, and warm-up frames in which the gripper grasps.
@@ -183,6 +183,8 @@ def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float 
         values["material.bending_modulus"] = 1e-5
     if "air" in features:
         values |= {"wind.velocity": [0.0, 1.0, 0.0], "wind.normal_drag": 0.2, "wind.tangential_drag": 0.05}
+    if "added-mass" in features:
+        values["air.added_mass"] = 0.07
     if "gripper" in features:
         values["grippers"] = ["gripper"]
     values["diagnostics.energy"] = "energy" in features

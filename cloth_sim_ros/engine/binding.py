@@ -53,6 +53,8 @@ KINDS = {
     "edge_edge": (6, 4, 3),
     "point_face": (7, 4, 3),
     "membrane": (8, 3, 6),
+    "mass_triangle": (9, 3, 0),
+    "mass_quad": (10, 4, 0),
 }
 #: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
@@ -122,6 +124,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_frame": (_INT, _P, ctypes.POINTER(FrameRequest)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
+    "cloth_mass_blocks": (_INT, _P, _P, _P),
     "cloth_powers": (_INT, _P, _D, _P, _P, _P),
     "cloth_grip_wrenches": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_prescribe": (_INT, _P, _D, _P, _P, _P),

@@ -66,8 +66,8 @@ def _parser() -> argparse.ArgumentParser:
     files = "session.mcap, or the files of one in order; or an MCAP of a real cloth"
     parser.add_argument("session", nargs="+", type=Path, help=files)
     names = (
-        "stretch, shear, bending, damping, viscosity, density, drag, normal_drag, tangential_drag, friction, or full "
-        "names such as material.stretch_modulus or table.friction"
+        "stretch, shear, bending, damping, viscosity, density, drag, normal_drag, tangential_drag, added_mass, "
+        "friction, or full names such as material.stretch_modulus or table.friction"
     )
     parser.add_argument("--parameters", required=True, metavar="NAME,NAME", help=names)
     parser.add_argument("--scene", type=Path, metavar="scene.yaml", help="the cloth; replaces the scene of a session")

@@ -25,6 +25,7 @@ _SHORT = {
     "drag": "air.drag",
     "normal_drag": "wind.normal_drag",
     "tangential_drag": "wind.tangential_drag",
+    "added_mass": "air.added_mass",
     "friction": "contact.friction",
 }
 _BENDING = "bending"

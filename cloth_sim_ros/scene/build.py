@@ -301,6 +301,7 @@ def build_model(scene: PhysicsScene) -> Model:
         *_joints(scene, joints, masses),
         *uniform_forces(scene),
         *_air_panels(scene, sheet),
+        *_added_mass(scene, sheet),
     ]
     if scene.gripper_names or obstacle_joints(scene, sheet):
         forces.append(_grips(scene, sheet, masses))
@@ -419,9 +420,25 @@ def _air_panels(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
         return []
     from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 
-    # A grid has panels per cell, not per triangle. Therefore the area of each particle is proportional to its mass.
-    panels = grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
+    panels = _panels(sheet)
     return [AirPanels(panels, normal=wind.normal_drag, tangential=wind.tangential_drag, wind=wind.velocity)]
+
+
+def _added_mass(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
+    """Build the inertia of the air that the surface carries along."""
+    if not scene.air.added_mass:
+        return []
+    from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
+
+    return [AddedMass(_panels(sheet), density=scene.air.added_mass, wind=scene.wind.velocity)]
+
+
+def _panels(sheet: Sheet) -> NDArray[np.int64]:
+    """Return the panels of a surface.
+
+    A grid has panels per cell, not per triangle. Therefore the area of each particle is proportional to its mass.
+    """
+    return grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
 
 
 def build_plan(scene: PhysicsScene) -> Plan:

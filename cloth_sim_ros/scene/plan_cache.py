@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import attrs
+import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.build import build_plan, uniform_forces
@@ -50,12 +51,15 @@ class PlanCache:
         """Update gravity, drag and wind of the plan."""
         uniform, replaced = uniform_forces(scene), {force.name for force in uniform_forces(before)}
         remaining, air = [force for force in self.plan.model.forces if force.name not in replaced], None
-        if scene.wind.normal_drag or scene.wind.tangential_drag:
+        if scene.wind.normal_drag or scene.wind.tangential_drag or scene.air.added_mass:
+            from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
             from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 
-            panels = next(force for force in remaining if isinstance(force, AirPanels))
-            updated = panels.in_wind(scene.wind.velocity)
-            remaining, air = [updated if force is panels else force for force in remaining], updated.coefficients
+            wind = scene.wind.velocity
+            remaining = [
+                force.in_wind(wind) if isinstance(force, (AirPanels, AddedMass)) else force for force in remaining
+            ]
+            air = np.array([scene.wind.normal_drag, scene.wind.tangential_drag, *wind])
         self.plan.change_uniform([*remaining, *uniform], uniform, air_coefficients=air)
 
     def spectral_bounds(self, scene: Scene, x: Array) -> tuple[float, float]:
@@ -81,7 +85,7 @@ def same_elements(before: Scene, scene: Scene) -> bool:
 
 
 def _elements(scene: Scene) -> tuple[Any, ...]:
-    panels = scene.wind.normal_drag, scene.wind.tangential_drag
+    panels = scene.wind.normal_drag, scene.wind.tangential_drag, scene.air.added_mass
     obstacles = [(name, attrs.evolve(scene.described[name], frame="")) for name in scene.obstacle_names]
     gripper = scene.gripper
     pads = gripper.pad_size, gripper.opening, gripper.force, gripper.speed, gripper.friction
@@ -91,4 +95,4 @@ def _elements(scene: Scene) -> tuple[Any, ...]:
 
 
 def _uniform(scene: Scene) -> tuple[Any, ...]:
-    return scene.gravity, scene.air, scene.wind.velocity
+    return scene.gravity, scene.air.drag, scene.wind.velocity

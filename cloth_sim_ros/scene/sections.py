@@ -258,9 +258,19 @@ class BendingParameters:
 
 @attrs.frozen(kw_only=True)
 class AirParameters:
-    """Drag by still air."""
+    """Drag by still air, and its mass."""
 
     drag: float = parameter("double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", min=0.0, max=1e4, live=True)
+    added_mass: float = parameter(
+        "double",
+        0.0,
+        "Mass per area of the air that moves with the cloth across its surface. It adds inertia, not weight. Raw "
+        "springs have no surface. 0: none",
+        unit="kg/m^2",
+        min=0.0,
+        max=10.0,
+        live=True,
+    )
 
 
 @attrs.frozen(kw_only=True)

@@ -66,6 +66,10 @@ def check_sheet(scene: PhysicsScene) -> None:
         raise ParameterError(
             "wind.normal_drag and wind.tangential_drag need a surface; raw springs have none: set both to 0"
         )
+    if scene.air.added_mass and not len(sheet.triangles()):
+        raise ParameterError(
+            f"air.added_mass is {scene.air.added_mass} kg/m^2 and needs a surface; raw springs have none: set it to 0"
+        )
     if model in ("axial", "opposite") and (modulus or scene.material.bending_modulus_weft):
         from cloth_sim_ros.physics.model.sheets.bending import refuse_bending_modulus
 

@@ -28,6 +28,8 @@ class EnergyReport:
     wind: float
     #: Dissipated by springs, drag, grips and contact.
     dissipated: float
+    #: Part of `total`: kinetic energy of the air that the cloth carries along.
+    air: float = 0.0
     #: Part of `dissipated`: friction between layers of the cloth.
     friction_work: float = 0.0
     #: Work on the cloth of contacts that regain their thickness.
@@ -67,6 +69,7 @@ class EnergyWatch:
         turned_over = sums.turned_over + abs(kinetic - self._before[0]) + abs(dissipation)
         self._sums = EnergyReport(
             total=kinetic + potential,
+            air=self._plan.air_energy(state.x, state.v),
             work=sums.work + work,
             wind=sums.wind + wind,
             dissipated=sums.dissipated + dissipation,
@@ -85,7 +88,7 @@ class EnergyWatch:
         """
         kinetic = self._plan.energies(0.0, end_state.x, end_state.v, end_state.memory)[0]
         sums = self._sums
-        self._sums = attrs.evolve(sums, total=sums.total - kinetic, dissipated=sums.dissipated + kinetic)
+        self._sums = attrs.evolve(sums, total=sums.total - kinetic, air=0.0, dissipated=sums.dissipated + kinetic)
         return self._sums
 
     def save(self) -> SavedBalance:

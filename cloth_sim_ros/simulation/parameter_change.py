@@ -33,6 +33,9 @@ def is_small_change(names: Collection[str], before: Scene, scene: Scene, v: Arra
     """
     if not _UNIFORM_PARAMETERS.issuperset(names) or scene.step:
         return False
+    if scene.air.added_mass and scene.wind.velocity != before.wind.velocity:
+        # The force of carried air is of second degree in the speed of the wind.
+        return False
     drag_change = abs(scene.air.drag - before.air.drag)
     damping_change = abs(scene.material.damping - before.material.damping)
     if drag_change * scene.period > _MAX_DRAG_CHANGE or damping_change > _MAX_DAMPING_CHANGE:

@@ -151,6 +151,8 @@ class DiagnosticsCheck:
         if energy is None:
             return {} if simulation.scene.diagnostics.energy else {"energy_j": "off"}
         texts = {"energy_j": f"{energy.total:.9g}"}
+        if simulation.plan.carries_air:
+            texts["energy_air_j"] = f"{energy.air:.6g}"
         if self._from_start:
             contact = simulation.plan.contact
             # The energy balance is left out: it is rounding of numpy's sums.

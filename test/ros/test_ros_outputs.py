@@ -207,7 +207,7 @@ def test_diagnostics_keys_match_the_docs(client: Client) -> None:
         assert status.name == "cloth_sim: cloth"
         # Entries of a recording and of contact exist only with a recording or contact.
         contact = {"contacts", "smallest_gap_m", "self_contacts", "self_smallest_gap_m", "stopped_bodies"}
-        contact |= {"energy_friction_j", "energy_recovered_j"}
+        contact |= {"energy_friction_j", "energy_recovered_j", "energy_air_j"}
         present = [(old, current) for old, current in old_keys.DIAGNOSTICS.items() if current in values]
         assert ("integrator_why", "integrator_reason") in present
         assert [values.pop(old) for old, _ in present] == [values[current] for _, current in present]

@@ -211,6 +211,42 @@ def air_panels(x, v, panels, normal, tangential, wind):
     return Values(f, 0.0, dissipation, external_power)
 
 
+def air_energy(x, v, panels, density, wind):
+    """Return T = rho / 2 sum of A/k (n . (v - w))^2 over the k corners of each panel."""
+    energy = 0.0
+    for panel in panels:
+        p = x.T[panel]
+        area_vector = 0.5 * (np.cross(p[1] - p[0], p[2] - p[0]) if len(p) == 3 else np.cross(p[2] - p[0], p[3] - p[1]))
+        fluxes = (v.T[panel] - wind) @ area_vector
+        energy += 0.5 * density / len(p) * fluxes @ fluxes / np.linalg.norm(area_vector)
+    return energy
+
+
+def lagrange_accelerations(masses, panels, density, wind, x, v):
+    """Return the accelerations (3, n) of particles that carry air, from derivatives of the kinetic energy alone.
+
+    Momenta are exact differences, because the energy is of second degree in the velocities. Derivatives with respect
+    to positions are central differences of order 4.
+    """
+    shape, size = x.shape, x.size
+    units = [unit.reshape(shape) for unit in np.eye(size)]
+
+    def energy(at, speed):
+        return 0.5 * float(np.sum(masses * speed * speed)) + air_energy(at, speed, panels, density, wind)
+
+    def slope(function, h=1e-5):
+        single, double = function(h) - function(-h), function(2.0 * h) - function(-2.0 * h)
+        return (8.0 * single - double) / (12.0 * h)
+
+    def momenta(at, speed):
+        return np.array([0.5 * (energy(at, speed + unit) - energy(at, speed - unit)) for unit in units])
+
+    mass = np.array([momenta(x, v + unit) - momenta(x, v) for unit in units]).T
+    change = slope(lambda h: momenta(x + h * v, v))
+    gradient = np.array([slope(lambda h, unit=unit: energy(x + h * unit, v)) for unit in units])
+    return np.linalg.solve(mass, gradient - change).reshape(shape)
+
+
 def pose(path, t):
     """Return position, velocity, rotation matrix and its rate of a gripper at a time [s]."""
     s = t - path[0]

@@ -20,6 +20,7 @@ from validation.tolerance.linear_motion import LinearMotion
 from validation.tolerance.random_grips import RandomGripScript
 from validation.tolerance.random_scenes import (
     RandomScene,
+    added_mass,
     initial_state,
     log_uniform,
     max_frequency,
@@ -209,8 +210,24 @@ def moving(rng: np.random.Generator) -> Trial:
     return _evaluate_sheet(rng, values | sheet_air(rng), is_moving=True, gust=True)
 
 
+def carried_air(rng: np.random.Generator) -> Trial:
+    """Evaluate a moving sheet as `moving`, which carries air along."""
+    values = _hung_sheet(rng) | _bending(rng, ["none", "axial", "opposite", "crossed", "altitude"])
+    values |= {"air.added_mass": added_mass(rng, values), **sheet_air(rng)}
+    return _evaluate_sheet(rng, values, is_moving=True, gust=True)
+
+
 def mesh(rng: np.random.Generator) -> Trial:
     """Evaluate a triangle mesh that hangs from its highest vertices."""
+    return _evaluate_mesh(rng, carries_air=False)
+
+
+def mesh_air(rng: np.random.Generator) -> Trial:
+    """Evaluate a triangle mesh as `mesh`, which carries air along."""
+    return _evaluate_mesh(rng, carries_air=True)
+
+
+def _evaluate_mesh(rng: np.random.Generator, *, carries_air: bool) -> Trial:
     values = _hung_sheet(rng) | _bending(rng, ["none", "opposite", "crossed", "altitude"])
     for name in ("cloth.size", "cloth.resolution", "cloth.shear_layout"):
         del values[name]
@@ -219,6 +236,8 @@ def mesh(rng: np.random.Generator) -> Trial:
     content, points = outline_with_a_hole(np.random.default_rng(seed), count, size)
     highest = np.flatnonzero(points[:, 1] > points[:, 1].max() - 0.1 * np.ptp(points[:, 1]))
     values |= {"cloth.mesh": "sheet.obj", "cloth.anchors": [str(int(k)) for k in highest], **sheet_air(rng)}
+    if carries_air:
+        values["air.added_mass"] = added_mass(rng, values)
     return _evaluate_sheet(rng, values, files={"sheet.obj": content}, is_moving=True)
 
 
@@ -320,6 +339,8 @@ SCENE_FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = 
     "thrown": (thrown, 8),
     "hung": (hung, 16),
     "moving": (moving, 40),
+    "carried-air": (carried_air, 42),
     "mesh": (mesh, 40),
+    "mesh-air": (mesh_air, 42),
     "events": (events, 70),
 }

@@ -34,6 +34,8 @@ typedef struct {
     int64_t panels, corners;
     const int64_t *panel_particles;
     double normal, tangential, wind[3];
+    double added_mass; /* [kg/m^2] of the panels */
+    double *blocks;    /* mass blocks of the air, [particles][6][LANES], if added_mass > 0 */
     double push[3], drag;
     int64_t held;
     const int64_t *held_particles, *held_grippers;
@@ -170,6 +172,62 @@ static void panels(const System *s, const double *x, const double *v, double *f)
     }
 }
 
+/* Inertia of air with the energy rho / (2 corners) sum of A (n . u)^2, u = v - wind. With q = A n the momentum of a corner is
+ * m (q . u) q / A, m = rho / corners: its rate at constant u is subtracted from dT/dq times the change of q. */
+static void carried_air(const System *s, const double *x, const double *v, double *f) {
+    const int corners = (int)s->corners;
+    const double m = s->added_mass / corners;
+    const Vec wind = {(Lanes){0} + s->wind[0], (Lanes){0} + s->wind[1], (Lanes){0} + s->wind[2]};
+    memset(s->blocks, 0, (size_t)s->particles * 6 * LANES * sizeof(double));
+    for (int64_t k = 0; k < s->panels; ++k) {
+        const int64_t *at = s->panel_particles + corners * k;
+        Vec p[4], u[4];
+        for (int c = 0; c < corners; ++c) p[c] = load(x, at[c]), u[c] = minus(load(v, at[c]), wind);
+        /* Area vector q = (1/2) sum of p_c x p_(c+1), and its rate. */
+        Vec q = {{0}, {0}, {0}}, rate = q, slope = q;
+        for (int c = 0; c < corners; ++c) {
+            const int d = (c + 1) % corners;
+            q = plus(q, times((Lanes){0} + 0.5, cross(minus(p[c], p[0]), minus(p[d], p[0]))));
+            rate = plus(rate, times((Lanes){0} + 0.5, plus(cross(minus(u[c], u[0]), minus(p[d], p[0])),
+                                                           cross(minus(p[c], p[0]), minus(u[d], u[0])))));
+        }
+        const Lanes area = root(dot(q, q)), inverse = inverse_above(area, (Lanes){0} + 1e-15);
+        const Lanes area_rate = dot(q, rate) * inverse;
+        for (int c = 0; c < corners; ++c) {
+            const Lanes flux = dot(q, u[c]), flux_rate = dot(rate, u[c]);
+            /* dT/dq = m flux u / A - m flux^2 q / (2 A^3). */
+            slope = plus(slope, minus(times(m * flux * inverse, u[c]), times(0.5 * m * flux * flux * inverse * inverse * inverse, q)));
+            /* d/dt (m flux q / A) at constant u. */
+            const Vec changes = plus(times(m * (flux_rate - flux * area_rate * inverse) * inverse, q), times(m * flux * inverse, rate));
+            add(f, at[c], times((Lanes){0} - 1.0, changes));
+            Lanes *b = (Lanes *)(s->blocks + 6 * LANES * at[c]);
+            const Lanes w = m * inverse;
+            b[0] += w * q.x * q.x, b[1] += w * q.y * q.y, b[2] += w * q.z * q.z;
+            b[3] += w * q.x * q.y, b[4] += w * q.x * q.z, b[5] += w * q.y * q.z;
+        }
+        /* A corner moves q by half the cross product of the diagonal between its neighbours. */
+        for (int c = 0; c < corners; ++c) {
+            const Vec across = minus(p[(c + 1) % corners], p[(c + corners - 1) % corners]);
+            add(f, at[c], times((Lanes){0} + 0.5, cross(across, slope)));
+        }
+    }
+}
+
+/* Solve (1 + inverse B) a = right by elimination. */
+static void solve_block(const Lanes *b, double inverse, Lanes *a) {
+    Lanes xx = 1.0 + inverse * b[0], yy = 1.0 + inverse * b[1], zz = 1.0 + inverse * b[2];
+    const Lanes xy = inverse * b[3], xz = inverse * b[4];
+    Lanes yz = inverse * b[5];
+    const Lanes first = xy / xx, second = xz / xx;
+    yy -= first * xy, yz -= first * xz, zz -= second * xz;
+    a[1] -= first * a[0], a[2] -= second * a[0];
+    const Lanes third = yz / yy;
+    zz -= third * yz, a[2] -= third * a[1];
+    a[2] = a[2] / zz;
+    a[1] = (a[1] - yz * a[2]) / yy;
+    a[0] = (a[0] - xy * a[1] - xz * a[2]) / xx;
+}
+
 static void turn(const double *axis, double first, double second, const double *in, double *out) {
     const double cross_product[3] = {axis[1] * in[2] - axis[2] * in[1], axis[2] * in[0] - axis[0] * in[2],
                             axis[0] * in[1] - axis[1] * in[0]};
@@ -236,12 +294,14 @@ void accelerations(const System *s, double t, const double *x, const double *v, 
     if (s->crossed) crossed(s, x, v, a);
     if (s->altitudes) altitudes(s, x, v, a);
     if (s->panels) panels(s, x, v, a);
+    if (s->added_mass > 0.0) carried_air(s, x, v, a);
     if (s->held) grips(s, t, x, v, a);
     for (int64_t i = 0; i < n; ++i) {
         const double inverse = s->inverse_mass[i], free = inverse > 0.0 ? 1.0 : 0.0;
         Lanes *at = (Lanes *)(a + 3 * LANES * i);
         const Lanes *u = (const Lanes *)(v + 3 * LANES * i);
         for (int c = 0; c < 3; ++c) at[c] = inverse * at[c] + free * (s->push[c] - s->drag * u[c]);
+        if (s->added_mass > 0.0) solve_block((const Lanes *)(s->blocks + 6 * LANES * i), inverse, at);
     }
 }
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from support.reference_kernel import compiled, find_compiler
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
 from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
 from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
@@ -74,6 +75,8 @@ class _System(ctypes.Structure):
         ("normal", _DOUBLE),
         ("tangential", _DOUBLE),
         ("wind", _DOUBLE * 3),
+        ("added_mass", _DOUBLE),
+        ("blocks", _POINTER),
         ("push", _DOUBLE * 3),
         ("drag", _DOUBLE),
         ("held", _COUNT),
@@ -186,6 +189,8 @@ class ReferenceSystem:
                     system.push[axis] += float(force.acceleration[axis])
             elif isinstance(force, Drag):
                 system.drag += force.rate
+            elif isinstance(force, AddedMass):
+                self._set_added_mass(force)
             elif isinstance(force, AirPanels):
                 self._set_panels(force)
             elif not isinstance(force, Grips):
@@ -226,12 +231,19 @@ class ReferenceSystem:
         setattr(self._c, f"{prefix}_particles", self._store_array(particles, np.int64))
         setattr(self._c, f"{prefix}_numbers", self._store_array(np.concatenate(coefficients), np.float64))
 
-    def _set_panels(self, force: AirPanels) -> None:
+    def _set_panels(self, force: AirPanels | AddedMass) -> None:
         system = self._c
         system.panels, system.corners = force.panels.shape
         system.panel_particles = self._store_array(force.panels, np.int64)
-        system.normal, system.tangential = force.normal, force.tangential
         system.wind[:] = force.wind.tolist()
+        if isinstance(force, AirPanels):
+            system.normal, system.tangential = force.normal, force.tangential
+
+    def _set_added_mass(self, force: AddedMass) -> None:
+        """Set the mass of the air at the panels, the same as those of drag."""
+        self._set_panels(force)
+        self._c.added_mass = force.density
+        self._c.blocks = self._store_array(np.zeros((self.model.particle_count, 6, LANES)), np.float64)
 
     @property
     def evaluation_cost(self) -> float:

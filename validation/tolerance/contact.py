@@ -55,11 +55,17 @@ class ContactDraw:
 def draw_contact(seed: int, index: int) -> ContactDraw:
     """Draw the scene of an index: kind and friction cycle with the index, everything else is random."""
     kind, friction = KINDS[index % len(KINDS)], FRICTIONS[index // len(KINDS) % len(FRICTIONS)]
-    return draw_contact_scene(np.random.default_rng([seed, index, 14]), kind, friction, _SIDES)
+    rng, air = np.random.default_rng([seed, index, 14]), np.random.default_rng([seed, index, 15])
+    return draw_contact_scene(rng, kind, friction, _SIDES, carries_air=bool(air.random() < 1.0 / 3.0))
 
 
-def draw_contact_scene(rng: np.random.Generator, kind: str, friction: float, sides: tuple[int, int]) -> ContactDraw:
-    """Draw a scene of a kind; `sides`: limits of the number of particles along a side."""
+def draw_contact_scene(
+    rng: np.random.Generator, kind: str, friction: float, sides: tuple[int, int], *, carries_air: bool = False
+) -> ContactDraw:
+    """Draw a scene of a kind; `sides`: limits of the number of particles along a side.
+
+    The mass of carried air is half that of the sheet.
+    """
     rows, columns = (int(count) for count in rng.integers(sides[0], sides[1] + 1, size=2))
     spacing = float(rng.uniform(0.02, 0.04))
     height, width = (rows - 1) * spacing, (columns - 1) * spacing
@@ -91,13 +97,15 @@ def draw_contact_scene(rng: np.random.Generator, kind: str, friction: float, sid
         values["bending.stiffness"] = log_uniform(rng, 0.1, 5.0)
     if kind == "itself":
         values |= {"contact.self": True, "contact.friction": [friction]}
+    if carries_air:
+        values["air.added_mass"] = 0.5 * values["material.density"]
     scene = Scene.from_parameters(values)
     positions = scene.initial_positions()
     positions = _folded(positions, rng.uniform(1.5, 2.5) * thickness) if kind == "itself" else _tilted(positions, rng)
     words = (
         f"{kind}, {rows} x {columns}, {values['material.stretch_modulus']:.2g} N/m, "
         f"k_d0 {values['material.damping']:.2g}, {bending}, thickness {1e3 * thickness:.2g} mm, friction {friction:g}, "
-        f"{scene.rate:g} Hz"
+        f"{scene.rate:g} Hz{', added mass' if carries_air else ''}"
     )
     return ContactDraw(scene=scene, state=State(positions), words=words)
 

@@ -73,7 +73,7 @@ CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t column
 CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners,
                               const double* params, const double* common);
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag);
-/// Set the coefficients and the wind of the panels, the only list whose common parameters change.
+/// Set the coefficients of panels, and the wind of panels and added mass: the lists whose common parameters change.
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common);
 /// Set the rank of each particle in runs without a grid.
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank);
@@ -93,6 +93,8 @@ CLOTH_API int cloth_velocity_displacement(Plan* plan, double t, const double* x,
                                           double* out);
 /// Kinetic and potential energy [J], two numbers; v may be null.
 CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out);
+/// Mass blocks of the air that the cloth carries along [kg], (6, n).
+CLOTH_API int cloth_mass_blocks(const Plan* plan, const double* x, double* blocks);
 /// Power of damping and drag, and power of the wind [W], without the joints of grippers.
 CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out);
 /// Add the weighted wrench records of the grippers to (grippers, record_numbers).

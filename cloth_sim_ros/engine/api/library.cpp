@@ -75,7 +75,9 @@ CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
     return guarded(plan, [&] {
         for (mesh::List& list : plan->lists)
-            if (!list.numbers) std::copy(common, common + mesh::common_of(list.kind), list.common);
+            if (!list.numbers)
+                std::copy(common + (mesh::is_mass(list.kind) ? 2 : 0), common + 5,
+                          list.common + (mesh::is_mass(list.kind) ? 2 : 0));
     });
 }
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
@@ -151,6 +153,9 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
         out[0] = e.kinetic;
         out[1] = e.potential;
     });
+}
+CLOTH_API int cloth_mass_blocks(const Plan* plan, const double* x, double* blocks) {
+    return guarded(plan, [&] { plan::mass_blocks(*plan, x, blocks); });
 }
 CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {

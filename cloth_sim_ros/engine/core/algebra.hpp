@@ -82,6 +82,12 @@ CLOTH_INLINE Sym3<V> outer(V s, Vec3<V> a, V t) {
     return {fma(b.x, a.x, t), fma(b.y, a.y, t), fma(b.z, a.z, t), b.x * a.y, b.x * a.z, b.y * a.z};
 }
 
+/// A product of a matrix and a vector.
+template <class V>
+CLOTH_INLINE Vec3<V> product(const Sym3<V>& m, Vec3<V> a) {
+    return {dot(Vec3<V>{m.xx, m.xy, m.xz}, a), dot(Vec3<V>{m.xy, m.yy, m.yz}, a), dot(Vec3<V>{m.xz, m.yz, m.zz}, a)};
+}
+
 /// Add a matrix to block i of n blocks (6, n): xx, yy, zz, xy, xz, yz.
 inline void add_block(double* blocks, std::int64_t n, std::int64_t i, const Sym3<double>& b) {
     blocks[i] += b.xx;

@@ -14,28 +14,31 @@ using plan::Plan;
 template <class T>
 using StepRow = void (*)(const RowView<T>&, const GridConstants<T>&, const StepFactors<T>&, bool);
 
-template <class T, Mode M>
+template <class T, Mode M, bool Air>
 inline StepRow<T> select_row_step(unsigned shape) {
     constexpr unsigned edges = 1u << right | 1u << down, with_diagonal = 1u << diagonal,
                        with_antidiagonal = 1u << antidiagonal;
     constexpr unsigned long_springs = 1u << right2 | 1u << down2;
     switch (shape & ~edges) {
-        case 0: return step_row<T, edges, M>;
-        case with_diagonal: return step_row<T, edges | with_diagonal, M>;
-        case with_antidiagonal: return step_row<T, edges | with_antidiagonal, M>;
-        case with_diagonal | with_antidiagonal: return step_row<T, edges | with_diagonal | with_antidiagonal, M>;
-        case long_springs: return step_row<T, edges | long_springs, M>;
-        case long_springs | with_diagonal: return step_row<T, edges | long_springs | with_diagonal, M>;
-        case long_springs | with_antidiagonal: return step_row<T, edges | long_springs | with_antidiagonal, M>;
-        default: return step_row<T, edges | long_springs | with_diagonal | with_antidiagonal, M>;
+        case 0: return step_row<T, edges, M, Air>;
+        case with_diagonal: return step_row<T, edges | with_diagonal, M, Air>;
+        case with_antidiagonal: return step_row<T, edges | with_antidiagonal, M, Air>;
+        case with_diagonal | with_antidiagonal: return step_row<T, edges | with_diagonal | with_antidiagonal, M, Air>;
+        case long_springs: return step_row<T, edges | long_springs, M, Air>;
+        case long_springs | with_diagonal: return step_row<T, edges | long_springs | with_diagonal, M, Air>;
+        case long_springs | with_antidiagonal: return step_row<T, edges | long_springs | with_antidiagonal, M, Air>;
+        default: return step_row<T, edges | long_springs | with_diagonal | with_antidiagonal, M, Air>;
     }
 }
+/// `air`: whether the sheet carries air along. Its forces depend on velocities.
 template <class T>
-inline StepRow<T> select_row_step(unsigned shape, Mode mode) {
+inline StepRow<T> select_row_step(unsigned shape, Mode mode, bool air) {
     switch (mode) {
-        case Mode::position_only: return select_row_step<T, Mode::position_only>(shape);
-        case Mode::drag: return select_row_step<T, Mode::drag>(shape);
-        default: return select_row_step<T, Mode::damped>(shape);
+        case Mode::position_only: return select_row_step<T, Mode::position_only, false>(shape);
+        case Mode::drag:
+            return air ? select_row_step<T, Mode::drag, true>(shape) : select_row_step<T, Mode::drag, false>(shape);
+        default:
+            return air ? select_row_step<T, Mode::damped, true>(shape) : select_row_step<T, Mode::damped, false>(shape);
     }
 }
 

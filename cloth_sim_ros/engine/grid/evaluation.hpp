@@ -20,11 +20,13 @@ public:
     /// The accelerations are written to the end velocities of the run, which has no steps.
     GridForces(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), off_grid_(plan, run), window_(plan.workspace<T>().window),
-          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), pitch_(plan.tables.pitch),
+          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mass_cells_(plan.mass_table<T>()),
+          carries_air_(plan.has_added_mass()), pitch_(plan.tables.pitch),
           uses_velocity_(plan.mode() != Mode::position_only) {
-        const std::int64_t n_cell_numbers = cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_);
-        window_.resize((rows_of_window * (damping_velocity + 3) + 2 * 3 * 3 + 3) * pitch_ + n_cell_numbers +
-                       64 / sizeof(T));
+        n_cell_numbers_ = cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_);
+        const std::int64_t n_mass_numbers = carries_air_ ? 2 * block_numbers * pitch_ : 0;
+        window_.resize((rows_of_window * (damping_velocity + 3) + 2 * 3 * 3 + 3) * pitch_ + n_cell_numbers_ +
+                       n_mass_numbers + 64 / sizeof(T));
         off_grid_.prepare_poses(1);
         off_grid_.init_contact_by_rows(1, pitch_);
     }
@@ -39,7 +41,7 @@ public:
             const RunStatus done = off_grid_.compute_forces(-1, 0);
             if (done != RunStatus::ok) return done;
         }
-        const StepRow<T> step = select_row_step<T>(grid_.shape(), plan_.mode());
+        const StepRow<T> step = select_row_step<T>(grid_.shape(), plan_.mode(), carries_air_);
         const GridConstants<T> constants = grid_constants<T>(plan_);
         T *const force_rows = window_.data() + rows_of_window * (damping_velocity + 3) * pitch_, *const hinge_forces =
                                                                                                      force_rows +
@@ -62,11 +64,20 @@ public:
             at.length = row_length<T>(grid_.columns);
             at.accelerations = whole ? run_.v + row * grid_.columns : out;
             at.acceleration_pitch = whole ? plan_.count : pitch_;
+            T* mass_rows[2]{};
+            if (carries_air_) {
+                for (int k = 0; k < 2; ++k)
+                    mass_rows[k] = cell_rows + n_cell_numbers_ + ((row & 1) ^ k) * block_numbers * pitch_;
+                at.mass = mass_rows[0];
+                if (mass_cells_.empty()) std::fill_n(at.mass, block_numbers * pitch_, T(0));
+            }
             off_grid_.add_row_forces(0, row, -1, at, false);
             T* hinge_rows[3];
             for (int k = 0; k < 3; ++k) hinge_rows[k] = hinge_forces + (row + k) % 3 * 3 * pitch_;
             if (!hinges_.empty()) add_hinge_row(hinges_, row, at, hinge_rows, true, nullptr, false);
             if (!cells_.empty()) add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, true, nullptr);
+            if (!mass_cells_.empty()) add_mass_row(at, mass_cells_.of(row), plan_.cells_mass(), mass_rows);
+            if (carries_air_ && off_grid_.has_prescribed()) off_grid_.hold_row(row, -1, at);
             step(at, constants, {}, true);
             for (int c = 0; !whole && c < 3; ++c)
                 std::copy_n(out + c * pitch_, grid_.columns, run_.v + c * plan_.count + row * grid_.columns);
@@ -102,7 +113,9 @@ private:
     OffGridForces<T> off_grid_;
     Array<T>& window_;
     const std::vector<RowTable<T>>& hinges_;
-    const CellTable<T>& cells_;
+    const CellTable<T>&cells_, &mass_cells_;
+    const bool carries_air_;
+    std::int64_t n_cell_numbers_ = 0;
     const std::int64_t pitch_;
     const bool uses_velocity_;
 };

@@ -29,6 +29,9 @@ enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acc
 template <class T>
 inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
 
+/// Components of a mass block: xx, yy, zz, xy, xz, yz.
+inline constexpr int block_numbers = 6;
+
 /// Low part of a value: what rounding to the high part leaves.
 template <class T>
 inline T low_part(double value, T high) {
@@ -92,6 +95,8 @@ struct RowView {
     /// for one that moves. In double precision only.
     T* accelerations = nullptr;
     std::ptrdiff_t acceleration_pitch = 0;
+    /// Mass blocks of the air at the row, six components, or null without.
+    T* mass = nullptr;
 };
 
 /// Springs of a sheet with the same direction. k_s [N], rest length [m], c [N s/m]; `border`: factor for threads along

@@ -8,7 +8,7 @@
 // its own springs are done, and its particles move at once: a step reads and writes each number once.
 #pragma once
 
-#include "grid/grid.hpp"
+#include "grid/added_mass.hpp"
 #include "laws/spring.hpp"
 
 namespace cloth::grid {
@@ -21,8 +21,9 @@ struct GridConstants {
     T drag, body_acceleration[3];
 };
 /// Add the force rows and the forces of the row's own springs, and advance the row by one step if it is `owned`;
-/// otherwise only add the forces on the rows below. Families: a set of bits, one for each that exists.
-template <class T, unsigned Families, Mode M>
+/// otherwise only add the forces on the rows below. Families: a set of bits, one for each that exists. Air: whether the
+/// row carries air along.
+template <class T, unsigned Families, Mode M, bool Air>
 inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, const StepFactors<T>& motion,
                      bool owned) {
     using V = vec<T>;
@@ -123,11 +124,13 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
         const V mass = load(at.entry + inverse_mass * pitch + j), free = load(at.entry + freedom * pitch + j);
         const V drag = splat<V>(constants.drag);
         const V kick = splat<V>(motion.kick), drift = splat<V>(motion.drift);
-        const auto finish = [&](int c, V f, V damping_v) CLOTH_INLINED {
-            T* const x_c = at.row[0] + c * pitch + j;
+        const auto acceleration = [&](int c, V f, V damping_v) CLOTH_INLINED {
             V field = splat<V>(constants.body_acceleration[c]);
             if constexpr (uses_velocity) field = fma(-drag, damping_v, field);
-            const V a = fma(free, field, mass * f);
+            return fma(free, field, mass * f);
+        };
+        const auto finish = [&](int c, V a) CLOTH_INLINED {
+            T* const x_c = at.row[0] + c * pitch + j;
             if (sizeof(T) == 8 && at.accelerations) {
                 store(at.accelerations + c * at.acceleration_pitch + j, a);
                 return;
@@ -150,9 +153,16 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
                 store(x_c, end);
             }
         };
-        finish(0, force.x, p.x);
-        finish(1, force.y, p.y);
-        finish(2, force.z, p.z);
+        if constexpr (Air) {
+            const Vec3<V> a = laws::accelerated(
+                load_block<T>(at.mass + j, pitch), mass,
+                {acceleration(0, force.x, p.x), acceleration(1, force.y, p.y), acceleration(2, force.z, p.z)});
+            finish(0, a.x), finish(1, a.y), finish(2, a.z);
+        } else {
+            finish(0, acceleration(0, force.x, p.x));
+            finish(1, acceleration(1, force.y, p.y));
+            finish(2, acceleration(2, force.z, p.z));
+        }
     }
 }
 

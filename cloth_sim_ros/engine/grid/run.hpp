@@ -21,8 +21,9 @@ class GridRun {
 public:
     GridRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), off_grid_(plan, run),
-          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mode_(plan.mode()),
-          state_(plan.workspace<T>(run.workspace).state), force_rows_(plan.workspace<T>(run.workspace).force_rows),
+          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mass_cells_(plan.mass_table<T>()),
+          carries_air_(plan.has_added_mass()), mode_(plan.mode()), state_(plan.workspace<T>(run.workspace).state),
+          force_rows_(plan.workspace<T>(run.workspace).force_rows),
           messages_(plan.workspace<T>(run.workspace).messages),
           middle_(plan.workspace<T>(run.workspace).middle_velocities), pitch_(tables_.pitch),
           length_(row_length<T>(grid_.columns)), stride_(components<T> * pitch_) {
@@ -56,7 +57,7 @@ public:
         counters_ = std::vector<Counter>(bands_);
         middle_.resize(run.activity ? 3 * pitch_ * grid_.rows : 0);
         if (run.activity) differences_.assign(bands_, plan::HalfDifference(run));
-        step_row_ = select_row_step<T>(grid_.shape(), mode_);
+        step_row_ = select_row_step<T>(grid_.shape(), mode_, carries_air_);
         constants_ = grid_constants<T>(plan);
     }
 
@@ -93,10 +94,10 @@ private:
     }
     /// Sets of three force rows: one for springs, one for hinges.
     int rings() const { return hinges_.empty() ? 1 : 2; }
-    /// Numbers of one step of a sweep: force rows, and two rows of cells.
-    std::int64_t numbers_of_level() const {
-        return rings() * 9 * pitch_ + (cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_));
-    }
+    /// Numbers of one step of a sweep: force rows, two rows of cells, and two rows of mass blocks.
+    std::int64_t numbers_of_level() const { return rings() * 9 * pitch_ + cell_numbers() + mass_numbers(); }
+    std::int64_t cell_numbers() const { return cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_); }
+    std::int64_t mass_numbers() const { return carries_air_ ? 2 * block_numbers * pitch_ : 0; }
     T* row_of(int b, std::int64_t row) { return state_[b].data() + (row - border_[b] + halo_) * stride_; }
 
     /// Sheets without other forces: bands wait for their neighbours only.
@@ -282,6 +283,14 @@ private:
         at.entry = tables_.of(row);
         at.pitch = pitch_;
         at.length = length_;
+        T* mass_rows[2]{};
+        if (carries_air_) {
+            T* const first =
+                force_rows_[b].data() + levels_ * (rings() * 9 * pitch_ + cell_numbers()) + level * mass_numbers();
+            for (int k = 0; k < 2; ++k) mass_rows[k] = first + ((row & 1) ^ k) * block_numbers * pitch_;
+            at.mass = mass_rows[0];
+            if (mass_cells_.empty()) std::fill_n(at.mass, block_numbers * pitch_, T(0));
+        }
         if (owned) off_grid_.add_row_forces(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
         PowerSums* const powers = run_.power_integrals && step >= 0 ? &powers_ : nullptr;
         if (!hinges_.empty()) add_hinge_row(hinges_, row, at, hinge_rows, owned, powers, off_grid_.multirate);
@@ -290,6 +299,8 @@ private:
                 force_rows_[b].data() + levels_ * rings() * 9 * pitch_ + 2 * level * air_row_size<T>(pitch_);
             add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, owned, powers);
         }
+        if (!mass_cells_.empty()) add_mass_row(at, mass_cells_.of(row), plan_.cells_mass(), mass_rows);
+        if (owned && carries_air_ && off_grid_.has_prescribed()) off_grid_.hold_row(row, step, at);
         step_row_(at, constants_, motion_of<T>(run_, step), owned);
         if (owned && off_grid_.has_prescribed())
             off_grid_.prescribe_row(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
@@ -328,7 +339,8 @@ private:
     const GridTables<T>& tables_;
     OffGridForces<T> off_grid_;
     const std::vector<RowTable<T>>& hinges_;
-    const CellTable<T>& cells_;
+    const CellTable<T>&cells_, &mass_cells_;
+    const bool carries_air_;
     PowerSums powers_;
     Mode mode_;
     std::vector<Array<T>>&state_, &force_rows_, &messages_;

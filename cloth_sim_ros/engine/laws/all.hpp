@@ -4,6 +4,7 @@
 // All laws of springs, membranes, hinges and panels.
 #pragma once
 
+#include "laws/added_mass.hpp"
 #include "laws/hinge.hpp"
 #include "laws/joint.hpp"
 #include "laws/membrane.hpp"

@@ -11,17 +11,35 @@
 
 namespace cloth::mesh {
 
-enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4, edge_edge, point_face, membrane };
+enum class Kind : int {
+    spring,
+    joint,
+    crossed,
+    altitude,
+    panel3,
+    panel4,
+    edge_edge,
+    point_face,
+    membrane,
+    mass3,
+    mass4
+};
+/// Whether elements are panels of air, which have common parameters alone.
+inline constexpr bool is_panel(Kind kind) { return kind == Kind::panel3 || kind == Kind::panel4; }
+/// Whether elements are panels with added mass.
+inline constexpr bool is_mass(Kind kind) { return kind == Kind::mass3 || kind == Kind::mass4; }
 /// Number of particles of an element, and of parameters of its own.
 inline constexpr int corners_of(Kind kind) {
-    return kind == Kind::panel3 || kind == Kind::membrane ? 3 : kind == Kind::spring || kind == Kind::joint ? 2 : 4;
+    if (kind == Kind::panel3 || kind == Kind::mass3 || kind == Kind::membrane) return 3;
+    return kind == Kind::spring || kind == Kind::joint ? 2 : 4;
 }
 inline constexpr int params_of(Kind kind) {
-    return kind == Kind::panel3 || kind == Kind::panel4 ? 0 : kind == Kind::joint ? 2 : kind == Kind::membrane ? 6 : 3;
+    if (is_panel(kind) || is_mass(kind)) return 0;
+    return kind == Kind::joint ? 2 : kind == Kind::membrane ? 6 : 3;
 }
 /// Number of parameters that all elements of a list have in common.
 inline constexpr int common_of(Kind kind) {
-    return kind == Kind::panel3 || kind == Kind::panel4 ? 5 : kind == Kind::membrane ? 8 : 0;
+    return is_panel(kind) || is_mass(kind) ? 5 : kind == Kind::membrane ? 8 : 0;
 }
 inline constexpr int max_params = 6, max_common = 8;
 
@@ -46,7 +64,7 @@ public:
         if (numbers) this->params.assign(params, params + count * numbers);
         if (common) std::copy(common, common + common_of(kind), this->common);
         slow = kind == Kind::crossed || kind == Kind::altitude;
-        damped = kind == Kind::panel3 || kind == Kind::panel4;
+        damped = is_panel(kind) || is_mass(kind);
         for (std::int64_t e = 0; !damped && e < count; ++e) damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
 
@@ -91,6 +109,9 @@ public:
         }
         return r;
     }
+
+    /// Of panels: whether the air moves.
+    bool has_wind() const { return common[2] != 0.0 || common[3] != 0.0 || common[4] != 0.0; }
 
     Kind kind;
     bool damped = false;

@@ -20,6 +20,10 @@ struct Operands {
 /// with it.
 inline constexpr std::int64_t batch_size = 64;
 
+/// Whether a law gives its corners mass.
+template <class Law>
+inline constexpr bool has_mass = requires { Law::carries_mass; };
+
 /// A batch by component: operands, later forces.
 template <class Law, class V>
 struct Batch {
@@ -27,6 +31,8 @@ struct Batch {
     static constexpr int n_differences = Law::corners - 1,
                          n_velocities = Law::absolute_velocities ? Law::corners : n_differences;
     alignas(64) T d[n_differences][3][batch_size], u[n_velocities][3][batch_size];
+    /// Mass blocks of a law that has them: diagonal and other entries.
+    alignas(64) T mass[has_mass<Law> ? 2 : 1][3][has_mass<Law> ? batch_size : 1];
 
     static CLOTH_INLINE void put(Vec3<V> a, T (*to)[batch_size], std::int64_t k) {
         store_as(to[0] + k, a.x), store_as(to[1] + k, a.y), store_as(to[2] + k, a.z);
@@ -36,7 +42,8 @@ struct Batch {
     }
 };
 
-/// Force loop of one list, with positions x, velocities v and forces f as quads. Powers are recorded if Record.
+/// Force loop of one list, with positions x, velocities v and forces f as quads. Powers are recorded if Record. Mass
+/// blocks are added to `mass`, two quads a particle (mesh/added_mass.hpp), by laws that have them.
 template <class Law, class T, bool Damped, bool Record>
 class ForceLoop {
     static constexpr int C = Law::corners;
@@ -47,8 +54,8 @@ class ForceLoop {
     static constexpr int n_forces = absolute ? C : C - 1;
 
 public:
-    ForceLoop(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, PowerSums* powers)
-        : common_(common), x_(x), v_(v), f_(f), powers_(powers), count_(list.count) {
+    ForceLoop(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, PowerSums* powers, T* mass)
+        : common_(common), x_(x), v_(v), f_(f), mass_(mass), powers_(powers), count_(list.count) {
         for (int c = 0; c < C; ++c) corner_[c] = list.corner[c].data();
         for (int p = 0; p < Law::params; ++p) param_[p] = list.param[p].data();
     }
@@ -84,11 +91,18 @@ public:
                     for (int c = 0; Damped && c < n_forces; ++c) operands.u[c] = batch.get(batch.u[c], k);
                     const CornerForces g = forces(begin + k, operands);
                     for (int c = 0; c < n_forces; ++c) batch.put(g.d[c], batch.u[c], k);
+                    if constexpr (has_mass<Law>) {
+                        const Sym3<V> b = Law::block(Law::share(params(begin + k)), Law::normal(operands.d));
+                        batch.put({b.xx, b.yy, b.zz}, batch.mass[0], k),
+                            batch.put({b.xy, b.xz, b.yz}, batch.mass[1], k);
+                    }
                 }
                 for (std::int64_t k = 0; k < size; k += L) {
                     Vec3<V> g[C];
                     for (int c = 0; c < n_forces; ++c) g[c] = batch.get(batch.u[c], k);
                     scatter(begin + k, g);
+                    if constexpr (has_mass<Law>)
+                        scatter_mass(begin + k, batch.get(batch.mass[0], k), batch.get(batch.mass[1], k));
                 }
             }
         }
@@ -168,6 +182,18 @@ private:
             }
         }
     }
+    /// Add a mass block to every corner.
+    CLOTH_INLINE void scatter_mass(std::int64_t e, Vec3<V> diagonal, Vec3<V> off_diagonal) const {
+        quad<T> rows[2][L];
+        interleave(diagonal.x, diagonal.y, diagonal.z, rows[0]);
+        interleave(off_diagonal.x, off_diagonal.y, off_diagonal.z, rows[1]);
+        for (int k = 0; k < L; ++k)
+            for (int c = 0; c < C; ++c) {
+                T* const to = mass_ + 2 * std::size_t{corner_[c][e + k]};
+                store4(to, quad<T>(load4(to) + rows[0][k]));
+                store4(to + 4, quad<T>(load4(to + 4) + rows[1][k]));
+            }
+    }
     CLOTH_INLINE void record_powers([[maybe_unused]] std::int64_t e,
                                     [[maybe_unused]] const typename Law::template Params<V>& numbers,
                                     [[maybe_unused]] const Operands<Law, V>& operands) const {
@@ -185,7 +211,7 @@ private:
     const std::uint32_t* corner_[C];
     const T* param_[max_params] = {};
     const T *x_, *v_;
-    T* f_;
+    T *f_, *mass_;
     PowerSums* powers_;
     std::int64_t count_;
 };

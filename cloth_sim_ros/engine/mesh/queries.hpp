@@ -23,10 +23,42 @@ inline double list_energy(const List& list, const double* x, std::int64_t n) {
     });
 }
 
+/// Call `visit` with the law of a list, if it is one of added mass.
+template <class F>
+inline void with_added_mass(const List& list, F&& visit) {
+    if (list.kind == Kind::mass3) visit(laws::AddedMass<3>{});
+    if (list.kind == Kind::mass4) visit(laws::AddedMass<4>{});
+}
+
+/// Kinetic energy of the air that a list carries along, v'Mv / 2.
+inline double list_air_energy(const List& list, const double* x, const double* v, std::int64_t n) {
+    double total = 0.0;
+    with_added_mass(list, [&](auto law) {
+        using Law = decltype(law);
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, v, n);
+            total += Law::kinetic_energy(s.params, s.d, s.u);
+        }
+    });
+    return total;
+}
+
+/// Add the mass blocks [kg] of a list to blocks (6, n).
+inline void add_list_mass(const List& list, const double* x, std::int64_t n, double* blocks) {
+    with_added_mass(list, [&](auto law) {
+        using Law = decltype(law);
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, nullptr, n);
+            const Sym3<double> block = Law::block(Law::share(s.params), Law::normal(s.d));
+            for (int c = 0; c < Law::corners; ++c) add_block(blocks, n, list.corners[e * list.width + c], block);
+        }
+    });
+}
+
 /// Power of damping, and power of the wind [W].
 inline void list_power(const List& list, const double* x, const double* v, std::int64_t n, double& dissipation,
                        double& external) {
-    if (!list.damped) return;
+    if (!list.damped || is_mass(list.kind)) return;
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         for (std::int64_t e = 0; e < list.count; ++e) {
@@ -41,6 +73,7 @@ inline void list_power(const List& list, const double* x, const double* v, std::
 /// springs to `transverse` (n) unless null.
 inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp,
                             double* transverse = nullptr) {
+    if (is_mass(list.kind) && !list.has_wind()) return;
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         for (std::int64_t e = 0; e < list.count; ++e) {

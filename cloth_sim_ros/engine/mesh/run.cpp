@@ -11,11 +11,12 @@
 namespace cloth::plan {
 
 template <class T>
-void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers) {
+void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers,
+                T* mass) {
     mesh::with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         const auto add = [&](auto damped, auto record) {
-            mesh::ForceLoop<Law, T, damped.value, record.value>(elements, list.common, x, v, f, powers).add();
+            mesh::ForceLoop<Law, T, damped.value, record.value>(elements, list.common, x, v, f, powers, mass).add();
         };
         constexpr std::true_type yes;
         constexpr std::false_type no;
@@ -28,8 +29,9 @@ void add_forces(const List& list, const Elements<T>& elements, const T* x, const
             add(no, no);
     });
 }
-template void add_forces(const List&, const Elements<float>&, const float*, const float*, float*, PowerSums*);
-template void add_forces(const List&, const Elements<double>&, const double*, const double*, double*, PowerSums*);
+template void add_forces(const List&, const Elements<float>&, const float*, const float*, float*, PowerSums*, float*);
+template void add_forces(const List&, const Elements<double>&, const double*, const double*, double*, PowerSums*,
+                         double*);
 
 template <class T>
 RunStatus run_lists(Plan& plan, const Run& run) {

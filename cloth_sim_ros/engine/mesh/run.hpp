@@ -6,12 +6,13 @@
 #pragma once
 
 #include "core/thread_pool.hpp"
+#include "mesh/added_mass.hpp"
 #include "plan/off_grid_forces.hpp"
 
 namespace cloth::mesh {
 
-using grid::StepFactors, plan::evaluation, plan::final_value, plan::OffGridForces, plan::Plan, plan::Run,
-    plan::RunStatus;
+using plan::Partition, grid::StepFactors, plan::evaluation, plan::final_value, plan::OffGridForces, plan::Plan,
+    plan::Run, plan::RunStatus;
 
 /// With `Evaluate` a single evaluation at x0 and v0, which returns accelerations in place of velocities.
 template <class T, bool Evaluate>
@@ -88,12 +89,15 @@ private:
             f[4 * rank] += force.x, f[4 * rank + 1] += force.y, f[4 * rank + 2] += force.z;
         }
         off_grid_.add_contact(thread, step, f);
+        if (off_grid_.has_prescribed() && plan_.has_added_mass()) hold(step, thread);
         return RunStatus::ok;
     }
     void move(std::int64_t step, int thread) {
         // Loaded once, because the compiler has to assume that the stores in the loop alias these pointers.
         const T *const f = (*off_grid_.partitions)[thread].f.data(), *const inverse = inverse_.data(),
                        *const free = free_.data();
+        const T* const mass = plan_.has_added_mass() ? (*off_grid_.partitions)[thread].mass_blocks.data() : nullptr;
+        if (mass) accelerate(thread, mass);
         T *const position_quads = off_grid_.x.data(), *const damping_v = off_grid_.v.data();
         T *const velocity = velocity_.data(), *const previous_a = previous_acceleration_.data(),
                  *const carry = compensation_.data();
@@ -107,7 +111,7 @@ private:
         for (std::int64_t p = borders_[thread]; p < borders_[thread + 1]; ++p) {
             const std::int64_t i = 4 * p;
             const quad<T> field = fma(drag, load4(damping_v + i), body_acceleration);
-            const quad<T> a = fma(all(free[p]), field, all(inverse[p]) * load4(f + i));
+            const quad<T> a = mass ? load4(f + i) : fma(all(free[p]), field, all(inverse[p]) * load4(f + i));
             const quad<T> v = fma(kick, a, load4(velocity + i));
             store4(velocity + i, v);
             store4(damping_v + i, quad<T>(fma(predict, a, fma(predict_previous, load4(previous_a + i), v))));
@@ -126,6 +130,49 @@ private:
         if (run_.ends_first_half(step))
             std::copy(velocity + 4 * borders_[thread], velocity + 4 * borders_[thread + 1],
                       middle_.data() + 4 * borders_[thread]);
+    }
+    /// Replace the forces on the particles of a thread by their accelerations with the mass of the air.
+    void accelerate(int thread, const T* mass) {
+        using V = vec<T>;
+        constexpr std::int64_t L = lanes<T>;
+        T* const f = (*off_grid_.partitions)[thread].f.data();
+        const T* const damping_v = off_grid_.v.data();
+        const auto all = [](T a) { return quad<T>{a, a, a, a}; };
+        const quad<T> body_acceleration{T(plan_.body_acceleration(0)), T(plan_.body_acceleration(1)),
+                                        T(plan_.body_acceleration(2)), T(0)},
+            drag = all(static_cast<T>(-plan_.drag));
+        for (std::int64_t first = borders_[thread]; first < borders_[thread + 1]; first += L) {
+            const std::int64_t n_lanes = std::min(L, borders_[thread + 1] - first);
+            quad<T> rows[L] = {}, diagonal[L] = {}, off_diagonal[L] = {};
+            alignas(64) T inverse[L] = {};
+            for (std::int64_t k = 0; k < n_lanes; ++k) {
+                const std::int64_t p = first + k;
+                const quad<T> field = fma(drag, load4(damping_v + 4 * p), body_acceleration);
+                rows[k] = fma(all(free_[p]), field, all(inverse_[p]) * load4(f + 4 * p));
+                diagonal[k] = load4(mass + 8 * p), off_diagonal[k] = load4(mass + 8 * p + 4);
+                inverse[k] = inverse_[p];
+            }
+            Vec3<V> a;
+            Sym3<V> block;
+            deinterleave(rows, a.x, a.y, a.z);
+            deinterleave(diagonal, block.xx, block.yy, block.zz);
+            deinterleave(off_diagonal, block.xy, block.xz, block.yz);
+            a = laws::accelerated(block, load(inverse), a);
+            interleave(a.x, a.y, a.z, rows);
+            for (std::int64_t k = 0; k < n_lanes; ++k) store4(f + 4 * (first + k), rows[k]);
+        }
+    }
+    /// The air at prescribed particles moves as they do: its inertia is a force on them.
+    void hold(std::int64_t step, int thread) {
+        Partition<T>& partition = (*off_grid_.partitions)[thread];
+        for (std::int64_t grip = 0; grip < plan_.grips.count(); ++grip) {
+            const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]];
+            if (!plan_.grips.prescribed[grip] || rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
+            T *const block = partition.mass_blocks.data() + 8 * rank, *const f = partition.f.data() + 4 * rank;
+            const Vec3<T> inertia = off_grid_.air_inertia(grip, step, mass_block(block));
+            f[0] -= inertia.x, f[1] -= inertia.y, f[2] -= inertia.z;
+            std::fill_n(block, 8, T(0));
+        }
     }
     /// Move prescribed particles to their points after a step.
     void prescribe(std::int64_t step, int thread) {

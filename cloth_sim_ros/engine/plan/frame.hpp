@@ -320,12 +320,19 @@ inline RunStatus add_prescribed_wrenches(Plan& plan, double t, const double* x, 
 /// Set positions and velocities (3, n) of prescribed particles at time t, and add the records of the impulses that
 /// change their velocities, (grippers, record_numbers).
 inline void prescribe(Plan& plan, double t, double* x, double* v, double* wrenches) {
-    plan.grips.for_each_prescribed(t, [&](std::int64_t grip, const Grips::Point& point) {
-        plan.grips.velocity_before[grip] = particle(v, plan.count, plan.grips.particle[grip]);
-        plan.grips.accumulate_inertia(wrenches + plan.grips.gripper[grip] * record_numbers, grip, point, point,
-                                      plan.masses[plan.grips.particle[grip]]);
+    Grips& grips = plan.grips;
+    const std::int64_t n = plan.count;
+    for (std::int64_t grip = 0; grips.has_prescribed && grip < grips.count(); ++grip)
+        grips.velocity_before[grip] = particle(v, n, grips.particle[grip]);
+    grips.prescribe(t, n, x, v);
+    Array<double> blocks(grips.has_prescribed && plan.has_added_mass() ? 6 * n : 0);
+    if (!blocks.empty()) mass_blocks(plan, x, blocks.data());
+    grips.for_each_prescribed(t, [&](std::int64_t grip, const Grips::Point& point) {
+        double* const sums = wrenches + grips.gripper[grip] * record_numbers;
+        grips.accumulate_inertia(sums, grip, point, point, plan.masses[grips.particle[grip]]);
+        if (!blocks.empty())
+            grips.accumulate_air_jump(sums, grip, point, block_of(blocks.data(), n, grips.particle[grip]));
     });
-    plan.grips.prescribe(t, plan.count, x, v);
 }
 /// The same without contact, grips and forces in Python. The next runs choose again which contacts they evaluate.
 inline void elastic_accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {

@@ -142,6 +142,21 @@ struct Grips {
                                                -angular.y,  -angular.z,  work,        0.5 * mass * norm2(jump)};
         for (int i = 0; i < record_numbers; ++i) sums[i] += record[i];
     }
+    /// Accumulate the inelastic impulse that gives the air at a prescribed particle, of a mass block, the velocity of its
+    /// first point.
+    void accumulate_air_jump(double* sums, std::int64_t grip, const Point& from, const Sym3<double>& block) const {
+        const Vec3<double> jump = from.velocity - velocity_before[grip], impulse = product(block, jump),
+                           angular = cross(from.arm, impulse);
+        const double record[record_numbers] = {-impulse.x,
+                                               -impulse.y,
+                                               -impulse.z,
+                                               -angular.x,
+                                               -angular.y,
+                                               -angular.z,
+                                               dot(impulse, from.velocity),
+                                               0.5 * dot(impulse, jump)};
+        for (int i = 0; i < record_numbers; ++i) sums[i] += record[i];
+    }
     /// Force on the particle of a grip [N].
     Vec3<double> force(std::int64_t grip, const Point& point, Vec3<double> x, Vec3<double> v) const;
     /// Accumulate the record of the force on a grip's particle over dt.

@@ -10,6 +10,7 @@
 #include "contact/feature_run.hpp"
 #include "contact/obstacle_run.hpp"
 #include "contact/self_run.hpp"
+#include "mesh/added_mass.hpp"
 #include "plan/grip_force.hpp"
 #include "plan/queries.hpp"
 #include "plan/runs.hpp"
@@ -73,10 +74,18 @@ RunStatus OffGridForces<T>::compute_forces(std::int64_t step, int thread) {
     std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
     const bool record = run.power_integrals && step >= 0;
     PowerSums list_powers;
+    const bool has_impulses = multirate && run.evaluates_hinges(step), has_mass = plan.has_added_mass();
+    if (has_mass && (plan.mass_list < 0 || has_impulses))
+        std::fill(partition.mass_blocks.begin() + 8 * partition.low, partition.mass_blocks.begin() + 8 * partition.high,
+                  T(0));
     for (std::size_t k = 0; k < partition.lists.size(); ++k)
-        if (!(multirate && plan.lists[k].slow))
-            add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f, record ? &list_powers : nullptr);
-    if (multirate && run.evaluates_hinges(step)) add_hinge_impulses(step, partition, record ? &list_powers : nullptr);
+        if (!(multirate && plan.lists[k].slow) && static_cast<std::int64_t>(k) != plan.mass_list)
+            add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f, record ? &list_powers : nullptr,
+                          partition.mass_blocks.data());
+    if (has_impulses && plan.mass_list >= 0)
+        mesh::add_mass_blocks<4>(partition.lists[plan.mass_list], plan.cells_mass(), x.data(),
+                                 partition.mass_blocks.data());
+    if (has_impulses) add_hinge_impulses(step, partition, record ? &list_powers : nullptr);
     if constexpr (sizeof(T) == 8) {
         if (self) self->add(step, x.data(), v.data(), f, record ? list_powers.dissipation : nullptr);
         if (features) features->add(step, x.data(), v.data(), f);
@@ -103,11 +112,18 @@ void OffGridForces<T>::add_hinge_impulses(std::int64_t step, Partition<T>& parti
         list_powers->dissipation[k] += static_cast<double>(run.multirate) * hinge_powers.dissipation[k];
     const T weight = static_cast<T>(step < 0 ? 0 : run.multirate);
     T* const f = partition.f.data();
+    const T* const mass_blocks = plan.has_added_mass() ? partition.mass_blocks.data() : nullptr;
     for (std::int64_t p = partition.first; p < partition.last; ++p) {
         const quad<T> impulse = load4(partition.hinge_forces.data() + 4 * p), weights{weight, weight, weight, weight};
         const quad<T> factor{quarter_impulse_factors[p], quarter_impulse_factors[p], quarter_impulse_factors[p],
                              quarter_impulse_factors[p]},
-            quarter_impulse = factor * impulse;
+            quarter = factor * impulse;
+        quad<T> quarter_impulse = quarter;
+        if (mass_blocks) {
+            const Vec3<T> carried = laws::accelerated(mesh::mass_block(mass_blocks + 8 * p), inverse[p],
+                                                      {quarter[0], quarter[1], quarter[2]});
+            quarter_impulse = quad<T>{carried.x, carried.y, carried.z, T(0)};
+        }
         store4(f + 4 * p, fma(weights, impulse, load4(f + 4 * p)));
         store4(next_prediction + 4 * p,
                quad<T>(quarter_impulse + (step < 0 ? quarter_impulse : load4(previous_quarter + 4 * p))));
@@ -185,6 +201,10 @@ void OffGridForces<T>::add_row_forces(int thread, std::int64_t row, std::int64_t
     }
     for (; j < columns; ++j)
         for (int c = 0; c < 3; ++c) forces[c * at.pitch + j] += from[4 * j + c];
+    if (!at.mass || plan.mass_list >= 0) return;
+    const T* const blocks = (*partitions)[thread].mass_blocks.data() + 8 * first;
+    for (j = 0; j < columns; ++j)
+        for (int c = 0; c < grid::block_numbers; ++c) at.mass[c * at.pitch + j] = blocks[8 * j + c + (c > 2)];
 }
 
 template <class T>
@@ -215,6 +235,28 @@ auto OffGridForces<T>::prescribe(int thread, std::int64_t grip, std::int64_t ste
     const Grips::Point point = at_end ? grips.point_at(grip, run.t + static_cast<double>(run.steps) * run.step)
                                       : grips.point(poses[thread].at(path, step + 1), grip);
     return {{point.position.x - origin[0], point.position.y - origin[1], point.position.z - origin[2]}, point.velocity};
+}
+
+template <class T>
+Vec3<T> OffGridForces<T>::air_inertia(std::int64_t grip, std::int64_t step, const Sym3<T>& block) {
+    const auto point = plan.grips.point(pose_at(plan.grips.path_of(grip), Dual{midpoint_time(run, step), 1.0}), grip);
+    return product(block, narrowed<T>(slope_of(point.velocity)));
+}
+
+template <class T>
+void OffGridForces<T>::hold_row(std::int64_t row, std::int64_t step, const RowView<T>& at) {
+    const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;
+    const auto& particles = plan.grips.particle;
+    for (auto grip = std::lower_bound(particles.begin(), particles.end(), first);
+         grip != particles.end() && *grip < last; ++grip) {
+        if (!plan.grips.prescribed[grip - particles.begin()]) continue;
+        T *const mass = at.mass + (*grip - first), *const f = at.force_rows[0] + (*grip - first);
+        const std::ptrdiff_t p = at.pitch;
+        const Vec3<T> inertia = air_inertia(grip - particles.begin(), step,
+                                            {mass[0], mass[p], mass[2 * p], mass[3 * p], mass[4 * p], mass[5 * p]});
+        f[0] -= inertia.x, f[p] -= inertia.y, f[2 * p] -= inertia.z;
+        for (int c = 0; c < grid::block_numbers; ++c) mass[c * p] = T(0);
+    }
 }
 
 template <class T>
@@ -278,7 +320,12 @@ void OffGridForces<T>::finish() {
     if (!run.gripper_record) return;
     if (has_prescribed()) {
         const double end = run.t + static_cast<double>(run.steps) * run.step;
+        Array<double> blocks(plan.has_added_mass() ? 6 * plan.count : 0);
+        if (!blocks.empty()) mass_blocks(plan, run.x0, blocks.data());
         plan.grips.for_each_prescribed(run.t, [&](std::int64_t grip, const Grips::Point& from) {
+            if (!blocks.empty())
+                plan.grips.accumulate_air_jump(grip_sums.data() + grip * record_numbers, grip, from,
+                                               block_of(blocks.data(), plan.count, plan.grips.particle[grip]));
             plan.grips.accumulate_inertia(grip_sums.data() + grip * record_numbers, grip, from,
                                           plan.grips.point_at(grip, end), plan.masses[plan.grips.particle[grip]]);
         });
@@ -308,6 +355,8 @@ void OffGridForces<T>::allocate(const std::vector<std::int64_t>& borders) {
         for (Array<T>& prediction : plan.workspace<T>(run.workspace).predicted_impulses)
             prediction.assign(4 * (plan.count + 1), T(0));
         quarter_impulse_factors.resize(plan.count);
+        inverse.resize(plan.count);
+        for (std::int64_t i = 0; i < plan.count; ++i) inverse[plan.rank[i]] = static_cast<T>(plan.inverse[i]);
         for (std::int64_t i = 0; i < plan.count; ++i)
             quarter_impulse_factors[plan.rank[i]] =
                 static_cast<T>(0.25 * run.multirate * run.step * plan.free_inverse[i]);

@@ -36,6 +36,7 @@ struct OffGridForces {
     std::vector<PoseCache> poses;                            ///< one per thread
     std::vector<double> grip_sums;                           ///< (grips, record_numbers)
     std::vector<T> quarter_impulse_factors;                  ///< from hinge force to a quarter of the impulse over mass
+    std::vector<T> inverse;                                  ///< 1/m of each particle of multirate runs, by rank
     std::unique_ptr<ObstacleRun<T>> contact;
     std::unique_ptr<SelfRun> self;
     std::unique_ptr<FeatureRun> features;
@@ -96,6 +97,10 @@ struct OffGridForces {
     Vec3<T> grip_force(int thread, std::int64_t grip, std::int64_t step, const Motion& particle, bool record);
     /// Motion of a prescribed particle's point after a step; record the force on it in the step, mass times `a`.
     Motion prescribe(int thread, std::int64_t grip, std::int64_t step, Vec3<T> a, bool record);
+    /// Inertia [N] of the air at a prescribed particle in a step, from the mass block there.
+    Vec3<T> air_inertia(std::int64_t grip, std::int64_t step, const Sym3<T>& block);
+    /// Replace the mass of the air at the prescribed particles of a row by its inertia.
+    void hold_row(std::int64_t row, std::int64_t step, const RowView<T>& at);
     /// The same for a row of the sheet that has moved.
     void prescribe_row(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
     /// A run whose surface may have intersected itself or an obstacle has no result.

@@ -25,7 +25,7 @@ struct FeatureContactModel;
 
 namespace cloth::plan {
 
-using contact::Contacts, contact::FeatureContactModel, contact::layer_sides, contact::LayerAnchors,
+using mesh::is_mass, contact::Contacts, contact::FeatureContactModel, contact::layer_sides, contact::LayerAnchors,
     contact::ReducedThickness, contact::SelfContact, grid::Grid, grid::GridTables, grid::Mode, grid::StepFactors,
     laws::anchor_numbers, laws::Scaling, mesh::List;
 
@@ -45,6 +45,8 @@ struct Plan {
     std::vector<std::vector<std::int64_t>> slots;
     /// The list whose panels are cells evaluated by rows, see `cell_slots`; -1 if there is none.
     std::int64_t air_list = -1;
+    /// The same of added mass.
+    std::int64_t mass_list = -1;
     /// Rate of linear drag [1/s], accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Grips grips;
@@ -101,6 +103,13 @@ struct Plan {
     bool has_fast_off_grid_lists();
     /// Common coefficients of the panels evaluated by rows.
     const double* cells_air() const { return lists[air_list].common; }
+    const double* cells_mass() const { return lists[mass_list].common; }
+    /// Whether air is carried along.
+    bool has_added_mass() const {
+        for (const List& list : lists)
+            if (is_mass(list.kind)) return true;
+        return false;
+    }
     /// Hinges, springs and panels evaluated by rows; stored in the first workspace only.
     template <class T>
     const std::vector<RowTable<T>>& row_tables() {
@@ -109,6 +118,10 @@ struct Plan {
     template <class T>
     const CellTable<T>& cell_table() {
         return workspace_with_tables<T>().cells;
+    }
+    template <class T>
+    const CellTable<T>& mass_table() {
+        return workspace_with_tables<T>().mass_cells;
     }
     template <class T>
     const Workspace<T>& workspace_with_tables();

@@ -28,6 +28,8 @@ Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
         weight += plan.masses[i] * dot(gravity, particle(x, n, i));
     }
     e.potential -= weight;
+    for (const List& list : plan.lists)
+        if (v && is_mass(list.kind)) e.kinetic += mesh::list_air_energy(list, x, v, n);
     const Grips& grips = plan.grips;
     for (std::int64_t grip = 0; grip < grips.count(); ++grip) {
         const Pose pose = pose_at(grips.paths.data() + grips.gripper[grip] * path_numbers, t);
@@ -62,6 +64,12 @@ void grid_and_field_powers(const Plan& plan, const double* x, const double* v, d
     }
     dissipation += plan.drag * drag_sum;
     external += wind_power;
+}
+
+void mass_blocks(const Plan& plan, const double* x, double* blocks) {
+    std::fill_n(blocks, 6 * plan.count, 0.0);
+    for (const List& list : plan.lists)
+        if (is_mass(list.kind)) mesh::add_list_mass(list, x, plan.count, blocks);
 }
 
 void total_powers(Plan& plan, double t, const double* x, const double* v, double& dissipation, double& external) {

@@ -16,6 +16,14 @@ struct Energy {
 /// Kinetic and potential energy; v may be null.
 Energy energy_of(Plan& plan, double t, const double* x, const double* v);
 
+/// Mass blocks of the air [kg], (6, n); all zero without added mass.
+void mass_blocks(const Plan& plan, const double* x, double* blocks);
+
+/// Block i of blocks (6, n).
+inline Sym3<double> block_of(const double* blocks, std::int64_t n, std::int64_t i) {
+    return {blocks[i], blocks[n + i], blocks[2 * n + i], blocks[3 * n + i], blocks[4 * n + i], blocks[5 * n + i]};
+}
+
 /// Powers of the damping of a sheet, of drag and of wind at x and v, without lists and joints of grippers.
 void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation, double& external);
 /// The same with lists and friction between layers.

@@ -20,8 +20,10 @@ template <class T>
 RunStatus run_lists(Plan& plan, const Run& run);
 RunStatus evaluate_lists(Plan& plan, const Run& run);
 
-/// Add the forces of all elements at positions x and velocities v to f, all quads by particle.
+/// Add the forces of all elements at positions x and velocities v to f, all quads by particle, and the mass of carried
+/// air to `mass`, two quads by particle; null for lists without.
 template <class T>
-void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers);
+void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers,
+                T* mass = nullptr);
 
 }  // namespace cloth::plan

@@ -250,7 +250,9 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
     SpectralBounds result{};
     plan.assign_lists();
     const bool has_panels = plan.air_list >= 0;
-    if (plan.lists.size() == (has_panels ? 1 : 0) && plan.grid && !stiff) {
+    // Air at rest adds no bound.
+    const bool has_mass = plan.mass_list >= 0 && !plan.lists[plan.mass_list].has_wind();
+    if (plan.lists.size() == (has_panels ? 1U : 0U) + (has_mass ? 1U : 0U) && plan.grid && !stiff) {
         // Single precision halves the time. Its rounding is far below the safety margin of a step.
         const Grid& grid = *plan.grid;
         GridBounds<float> bounds(grid, plan.grid_tables<float>(), x, has_panels ? &plan.cell_table<float>() : nullptr,

@@ -8,7 +8,7 @@
 
 namespace cloth::plan {
 
-using contact::contact_block, mesh::Kind;
+using contact::contact_block, mesh::is_panel, mesh::Kind;
 
 template <class T>
 const GridTables<T>& Plan::grid_tables() {
@@ -30,11 +30,16 @@ void Plan::assign_lists() {
     }
     for (std::size_t k = 0; hinges && k < lists.size(); ++k)
         if (lists[k].kind == Kind::spring) list_slots[k] = row_slots<2>(*grid, lists[k]);
-    air_list = -1;
-    for (std::size_t k = 0; grid && air_list < 0 && k < lists.size(); ++k) {
-        if (lists[k].kind == Kind::panel4) list_slots[k] = cell_slots(*grid, lists[k]);
-        if (lists[k].kind == Kind::panel4 && !list_slots[k].empty()) air_list = static_cast<std::int64_t>(k);
-    }
+    const auto first_cells = [&](Kind kind) -> std::int64_t {
+        for (std::size_t k = 0; grid && k < lists.size(); ++k) {
+            if (lists[k].kind != kind) continue;
+            list_slots[k] = cell_slots(*grid, lists[k]);
+            if (!list_slots[k].empty()) return static_cast<std::int64_t>(k);
+        }
+        return -1;
+    };
+    air_list = first_cells(Kind::panel4);
+    mass_list = first_cells(Kind::mass4);
     slots = std::move(list_slots);
 }
 
@@ -59,9 +64,10 @@ const Workspace<T>& Plan::workspace_with_tables() {
     assign_lists();
     first.tables.clear();
     for (std::size_t k = 0; k < lists.size(); ++k)
-        if (!slots[k].empty() && static_cast<std::int64_t>(k) != air_list)
+        if (!slots[k].empty() && !is_panel(lists[k].kind) && !is_mass(lists[k].kind))
             first.tables.emplace_back(*grid, lists[k], slots[k]);
     first.cells = air_list < 0 ? CellTable<T>() : CellTable<T>(*grid, slots[air_list]);
+    first.mass_cells = mass_list < 0 ? CellTable<T>() : CellTable<T>(*grid, slots[mass_list]);
     first.has_tables = true;
     return first;
 }
@@ -83,7 +89,9 @@ std::vector<Partition<T>>& Plan::partitions(const std::vector<std::int64_t>& bor
         partition.last = partition.high = borders[k + 1];
         for (const List& list : lists) {
             partition.lists.emplace_back();
-            if (!slots[partition.lists.size() - 1].empty() && !(multirate && list.slow)) continue;
+            // Impulses of multirate hinges need the mass of the air.
+            if (!slots[partition.lists.size() - 1].empty() && !(multirate && (list.slow || is_mass(list.kind))))
+                continue;
             partition.lists.back() = list.template select<T>(rank.data(), count, partition.first, partition.last);
             const Elements<T>& elements = partition.lists.back();
             for (int c = 0; c < list.width; ++c)
@@ -94,6 +102,7 @@ std::vector<Partition<T>>& Plan::partitions(const std::vector<std::int64_t>& bor
                 }
         }
         partition.f.assign(4 * (count + 1), T(0));
+        if (has_added_mass()) partition.mass_blocks.assign(8 * (count + 1), T(0));
     }
     return cached = std::move(fresh);
 }

@@ -23,9 +23,9 @@ inline constexpr double bounds_agree = 1.5;
 /// Largest factor on the lower bound.
 inline constexpr double max_reserve = 2.0;
 
-/// Inner product of vectors (3, n) weighted with masses. Eight partial sums make the order of additions independent of
-/// the vector width.
-inline double mass_product(const Plan& plan, const double* a, const double* b) {
+/// Inner product of vectors (3, n) weighted with masses, and with the mass blocks (6, n) of the air unless null. Eight
+/// partial sums make the order of additions independent of the vector width.
+inline double mass_product(const Plan& plan, const double* a, const double* b, const double* air) {
     constexpr std::int64_t n_sums = 8;
     const std::int64_t n = plan.count;
     double sums[n_sums] = {}, total = 0.0;
@@ -37,6 +37,9 @@ inline double mass_product(const Plan& plan, const double* a, const double* b) {
         for (std::int64_t k = 0; i + k < n; ++k) sums[k] = fma(m[i + k] * p[i + k], q[i + k], sums[k]);
     }
     for (double sum : sums) total += sum;
+    for (std::int64_t i = 0; air && i < n; ++i) {
+        total += dot(particle(a, n, i), product(block_of(air, n, i), particle(b, n, i)));
+    }
     return total;
 }
 
@@ -108,7 +111,10 @@ inline DisplacementEstimate velocity_displacement(Plan& plan, double t, const do
                                                   double time) {
     DisplacementEstimate estimate;
     const std::int64_t n = plan.count, size = 3 * n;
-    const double first_norm = root(mass_product(plan, errors, errors)), inverse_time2 = 1.0 / (time * time);
+    Array<double> blocks(plan.has_added_mass() ? 6 * n : 0);
+    const double* const air = blocks.empty() ? nullptr : blocks.data();
+    if (air) mass_blocks(plan, x, blocks.data());
+    const double first_norm = root(mass_product(plan, errors, errors, air)), inverse_time2 = 1.0 / (time * time);
     if (first_norm == 0.0) return estimate;
     if (!(first_norm < std::numeric_limits<double>::infinity())) return {std::numeric_limits<double>::infinity(), 0};
     double extent = 0.0;
@@ -141,12 +147,12 @@ inline DisplacementEstimate velocity_displacement(Plan& plan, double t, const do
         for (std::int64_t i = 0; i < size; ++i) at[i] = fma(scale, q[i], x[i]);
         elastic_accelerations(plan, t, at, zeros, there);
         for (std::int64_t i = 0; i < size; ++i) next[i] = slope * (here[i] - there[i]);
-        diagonal[k] = mass_product(plan, next, q);
+        diagonal[k] = mass_product(plan, next, q, air);
         for (std::int64_t i = 0; i < size; ++i) {
             next[i] = fma(-diagonal[k], q[i], next[i]);
             if (k) next[i] = fma(-off_diagonal[k - 1], basis(k - 1)[i], next[i]);
         }
-        off_diagonal[k] = root(mass_product(plan, next, next));
+        off_diagonal[k] = root(mass_product(plan, next, next, air));
         for (std::int64_t i = 0; i < size; ++i) next[i] /= off_diagonal[k];
         diagonal[k + 1] = radau_entry(diagonal, off_diagonal, k + 1);
         envelope_columns(diagonal, off_diagonal, k + 1, inverse_time2, column);

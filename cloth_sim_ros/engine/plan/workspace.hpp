@@ -20,6 +20,8 @@ struct Partition {
     std::int64_t low = 0, high = 0;    ///< particles that its elements touch
     std::vector<Elements<T>> lists;
     Array<T> f;
+    /// Mass blocks of the air, two quads a particle, see mesh/added_mass.hpp.
+    Array<T> mass_blocks;
     /// Forces of multirate hinges, and the velocities for their damping.
     Array<T> hinge_forces, hinge_velocities;
 };
@@ -33,8 +35,8 @@ struct Workspace {
     /// Predicted halves of the next hinge impulses over masses, alternating, and quarters of the last ones.
     Array<T> predicted_impulses[3];
     std::vector<RowTable<T>> tables;
-    CellTable<T> cells;
-    bool has_tables = false;  ///< whether `tables` and `cells` are up to date with the lists of the plan
+    CellTable<T> cells, mass_cells;
+    bool has_tables = false;  ///< whether tables and cells are up to date with the lists of the plan
 };
 
 /// Maximum number of concurrent runs; each has a workspace of its own.

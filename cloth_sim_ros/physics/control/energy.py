@@ -125,7 +125,11 @@ def leapfrog_energy(plan: Plan, t: float, state: State, step: float) -> float:
     zeros, forward, backward = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
     plan.accelerations(t, x + 0.5 * step * v, zeros, forward, memory)
     plan.accelerations(t, x - 0.5 * step * v, zeros, backward, memory)
-    return plan.energy(t, x, v, memory) + 0.125 * step * weighted_dot(plan.model.masses, v, forward - backward)
+    energy = plan.energy(t, x, v, memory)
+    if plan.carries_air:
+        unit_masses = np.ones_like(plan.model.masses)
+        return energy + 0.125 * step * weighted_dot(unit_masses, plan.momenta(x, v), forward - backward)
+    return energy + 0.125 * step * weighted_dot(plan.model.masses, v, forward - backward)
 
 
 def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: float, n_runs: int) -> tuple[float, int]:

@@ -420,15 +420,21 @@ class ImplicitAdvance:
 
     def _newton_correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
         """Return Newton's correction of a stage's velocities [m/s], shape (3, n)."""
-        masses, memory = self._plan.model.masses, self._state.memory
+        memory = self._state.memory
         positions, a = x + d * u, np.empty_like(x)
         self._plan.accelerations(t, positions, u, a, memory)
         self._evaluations += 1
-        if self._plan.contact is not None and not np.isfinite(a).all():
+        if (self._plan.contact is not None or self._plan.carries_air) and not np.isfinite(a).all():
             # Inside an obstacle there is no correction.
             return np.full_like(a, np.nan)
-        correction = masses * (v + d * a - u) * self._is_free
-        self._matrix.update(t, positions, d, memory, self._prescribed)
+        correction = self._plan.momenta(positions, v + d * a - u) * self._is_free
+        try:
+            self._matrix.update(t, positions, d, memory, self._prescribed)
+        except UnstableError:
+            if not self._plan.carries_air:
+                raise
+            # Forces of carried air grow with the square of the speed, so that the iteration may diverge.
+            return np.full_like(a, np.nan)
         self._matrix.solve(correction)
         return correction
 

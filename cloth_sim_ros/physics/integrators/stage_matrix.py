@@ -93,7 +93,10 @@ class StageMatrix:
             # Their corrections vanish, and the rows keep their order.
             masses = masses.copy()
             masses[prescribed] = _IMMOVABLE_MASS
-        self._matrix.update(self._blocks(x, d * d, d), masses, d * d * stiffness + d * damping)
+        blocks = d * d * stiffness + d * damping
+        if self._other_forces.carries_air:
+            blocks += self._other_forces.mass_blocks(x)
+        self._matrix.update(self._blocks(x, d * d, d), masses, blocks)
 
     def _blocks(self, x: Array, stiffness: float, damping: float) -> list[Array]:
         return [
@@ -129,6 +132,8 @@ class ParticleBlocks:
         self._plan.add_bounds(x, stiffness, damping, t, memory)
         blocks = d * d * stiffness + d * damping
         blocks[:3] += self._plan.model.masses
+        if self._plan.carries_air:
+            blocks += self._plan.mass_blocks(x)
         is_free = self._is_free.copy()
         is_free[prescribed] = False
         self._blocks = np.where(is_free, blocks, np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]).T)

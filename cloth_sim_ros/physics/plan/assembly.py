@@ -25,13 +25,17 @@ from cloth_sim_ros.physics.model.parts import ContactPart, ElementList, SpringGr
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.model.forces.contact import Contact
 
-#: Arithmetic operations of a step: to move a particle, of a grid's spring, of an air panel on a grid's cell. They
-#: include gathering. Choices that depend on them are the same on every machine.
-MOVE_OPERATIONS, GRID_SPRING_OPERATIONS, GRID_PANEL_OPERATIONS = 40, 26, 45
+#: Arithmetic operations of a step: to move a particle, of a grid's spring, of an air panel and of added mass on a cell
+#: of a grid. They include gathering. Choices that depend on them are the same on every machine.
+MOVE_OPERATIONS, GRID_SPRING_OPERATIONS = 40, 26
+GRID_CELL_OPERATIONS = {"quad": 45, "mass_quad": 140}
+#: Element kinds of added mass.
+MASS_KINDS = ("mass_triangle", "mass_quad")
 #: Element kinds whose forces multirate runs evaluate less often.
 HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
-ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160) | {"membrane": 130}
+ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160)
+ELEMENT_OPERATIONS |= {"membrane": 130, "mass_triangle": 240, "mass_quad": 300}
 
 
 @attrs.define(eq=False)
@@ -74,6 +78,10 @@ class Assembly:
                 if isinstance(part, SpringGrid):
                     grids.append(part)
                 elif isinstance(part, ElementList):
+                    if part.kind in MASS_KINDS and any(
+                        elements.kind in MASS_KINDS for elements in assembly.element_lists
+                    ):
+                        raise ValueError("two forces of a model have added mass; merge their panels into one")
                     assembly.element_lists.append(part)
                 elif isinstance(part, ContactPart):
                     if assembly.contact is not None:
@@ -135,8 +143,8 @@ class Assembly:
 
     def _operations(self, part: ElementList) -> int:
         """Return the operations of a step of all elements of a list."""
-        is_grid = part.kind == "quad" and self.grid is not None
-        return (GRID_PANEL_OPERATIONS if is_grid else ELEMENT_OPERATIONS[part.kind]) * len(part.particles)
+        is_cell = self.grid is not None and part.kind in GRID_CELL_OPERATIONS
+        return (GRID_CELL_OPERATIONS if is_cell else ELEMENT_OPERATIONS)[part.kind] * len(part.particles)
 
     def _upload_order(self, handle: int) -> None:
         """Upload an order of particles in which neighbours lie close together; it is invisible outside."""

@@ -27,7 +27,7 @@ from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.plan.assembly import HINGE_KINDS, Assembly
+from cloth_sim_ros.physics.plan.assembly import HINGE_KINDS, MASS_KINDS, Assembly
 from cloth_sim_ros.physics.plan.grip_binding import GripBinding
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
@@ -88,6 +88,8 @@ class Plan(PlanQueries, Uncopyable):
         self._min_damping_time = assembly.min_damping_time()
         #: True if the model has hinges, which multirate runs evaluate less often.
         self.has_hinges = any(elements.kind in HINGE_KINDS for elements in assembly.element_lists)
+        #: True if the cloth carries air along, whose mass depends on the direction.
+        self.carries_air = any(elements.kind in MASS_KINDS for elements in assembly.element_lists)
         #: Estimated time of a step for one particle, and the part of it for hinges [ns].
         self.step_cost, self._hinge_cost = assembly.step_cost(), assembly.hinge_cost()
         #: True if the parts can be shared by two threads: a grid needs enough rows.
@@ -407,7 +409,7 @@ class Plan(PlanQueries, Uncopyable):
         """Add the forces [N] on free particles at time t [s] to ``f`` (3, n)."""
         out = np.empty(self._shape)
         self.accelerations(t, x, v, out, memory)
-        f += out * self.model.masses
+        f += self.momenta(x, out)
 
     def steady(self) -> bool:
         """Return true if all forces at given positions and velocities are constant until the next event."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import RECORD_NUMBERS, address, check, doubles, writable
+from cloth_sim_ros.physics.arithmetic.arrays import weighted_dot
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.model import Model
@@ -33,6 +34,7 @@ class PlanQueries:
 
     model: Model
     contact: ContactBinding | None
+    carries_air: bool
     _library: ctypes.CDLL
     _handle: int
     _shape: tuple[int, int]
@@ -150,6 +152,29 @@ class PlanQueries:
         """Return kinetic plus potential energy [J] at time t [s]."""
         kinetic, potential = self.energies(t, x, v, memory)
         return kinetic + potential
+
+    def mass_blocks(self, x: Array) -> Array:
+        """Return the mass blocks of the air that the cloth carries along at x [kg], shape (6, n)."""
+        blocks = np.empty((6, self.model.particle_count))
+        check(self._library.cloth_mass_blocks(self._handle, doubles("x", x, self._shape), address(blocks)))
+        return blocks
+
+    def momenta(self, x: Array, v: Array) -> Array:
+        """Return the momenta ``M v`` [kg m/s] of cloth and air at x, v relative to the air, shape (3, n)."""
+        momenta = self.model.masses * v
+        if self.carries_air:
+            xx, yy, zz, xy, xz, yz = self.mass_blocks(x)
+            momenta[0] += xx * v[0] + xy * v[1] + xz * v[2]
+            momenta[1] += xy * v[0] + yy * v[1] + yz * v[2]
+            momenta[2] += xz * v[0] + yz * v[1] + zz * v[2]
+        return momenta
+
+    def air_energy(self, x: Array, v: Array) -> float:
+        """Return the part of the kinetic energy that the air has, which the cloth carries along [J]."""
+        if not self.carries_air:
+            return 0.0
+        masses = self.model.masses
+        return 0.5 * weighted_dot(np.ones_like(masses), self.momenta(x, v) - masses * v, v)
 
     def powers(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> tuple[float, float]:
         """Return the dissipated power and the power of moving air [W]; joints of grippers are not included."""

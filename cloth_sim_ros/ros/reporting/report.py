@@ -146,6 +146,8 @@ class DiagnosticsCollector:
             values["energy_work_j"] = f"{energy.work:.6g}"
             values["energy_wind_j"] = f"{energy.wind:.6g}"
             values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
+            if self._simulation.plan.carries_air:
+                values["energy_air_j"] = f"{energy.air:.6g}"
             contact = self._simulation.plan.contact
             if contact is not None and contact.force.has_self_friction:
                 values["energy_friction_j"] = f"{energy.friction_work:.6g}"

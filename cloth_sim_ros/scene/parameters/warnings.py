@@ -85,8 +85,10 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (("material.bending_modulus",), lambda scene: scene.bending.model == "none", "bending.model is none"),
     (
         ("wind.velocity",),
-        lambda scene: not (scene.air.drag or scene.wind.normal_drag or scene.wind.tangential_drag),
-        "air.drag, wind.normal_drag and wind.tangential_drag are all 0",
+        lambda scene: (
+            not (scene.air.drag or scene.air.added_mass or scene.wind.normal_drag or scene.wind.tangential_drag)
+        ),
+        "air.drag, air.added_mass, wind.normal_drag and wind.tangential_drag are all 0",
     ),
     (("tolerance",), lambda scene: scene.step > 0.0, "step is set, and a fixed step holds no tolerance"),
     (
