@@ -45,7 +45,7 @@ def test_newest_stamp_counts_and_future_ones_wait() -> None:
     assert states.apply(7)
 
 
-def test_late_state_of_another_publisher_replaces_no_newer_position() -> None:
+def test_late_state_replaces_no_newer_position() -> None:
     states = JointStates(["a", "b"])
     states.add(["a"], [2.0], NOW, NOW)
     assert states.apply(NOW)

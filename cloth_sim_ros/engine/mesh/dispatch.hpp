@@ -10,8 +10,7 @@
 namespace cloth::mesh {
 
 using laws::AddedMass, laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Joint, laws::law_params, laws::Membrane,
-    laws::Panel,
-    laws::PointFace, laws::Spring;
+    laws::Panel, laws::PointFace, laws::Spring;
 
 /// Call `visit` with the law of a kind.
 template <class F>
