@@ -31,7 +31,7 @@ from cloth_sim_ros.learning.spaces import (
     observation_space,
     scene_of,
 )
-from cloth_sim_ros.learning.thread_pool import ThreadPool
+from cloth_sim_ros.simulation.thread_pool import ThreadPool
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 from cloth_sim_ros.scene.scene import Scene

@@ -17,7 +17,7 @@ from cloth_sim_ros.scene.input_file import InputFileError
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Parameters that name a file.
-FILE_PARAMETERS = ("cloth.mesh", "cloth.springs", "bending.rest_angles", "initial_state")
+FILE_PARAMETERS = ("cloth.mesh", "cloth.springs", "bending.rest_angles", "initial_state", "ensemble.file")
 #: End of the name of a parameter that names an obstacle's file.
 _MESH_SUFFIX = ".mesh"
 #: Largest total size of the files of a scene [bytes]. Recordings hold these files, and readers accept that size.

@@ -30,6 +30,9 @@ class SceneValues(Protocol):
     def robot(self) -> sections.RobotParameters: ...
 
     @property
+    def ensemble(self) -> sections.EnsembleParameters: ...
+
+    @property
     def tolerance(self) -> float: ...
 
     @property
@@ -96,6 +99,8 @@ def _faults(scene: SceneValues) -> Iterator[str]:
         yield "frame_id is empty; name the coordinate frame, e.g. 'world'"
     if scene.tf.publish and "cloth" in scene.gripper_names:
         yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
+    if scene.ensemble.members == 1:
+        yield "ensemble.members is 1, and a single cloth has no deviation; take 2 or more, or 0 for sigma points"
     orientations = {
         "cloth.orientation": scene.cloth.orientation,
         "gripper.sensor_orientation": scene.gripper.sensor_orientation,

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from cloth_sim_ros.learning.thread_pool import ThreadPool
+from cloth_sim_ros.simulation.thread_pool import ThreadPool
 from cloth_sim_ros.physics.plan import thread_limit
 
 
