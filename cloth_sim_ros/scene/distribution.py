@@ -55,6 +55,9 @@ class Distribution:
     def from_file(cls, path: str | Path) -> Distribution:
         """Read a file of `cloth_fit --json`, or YAML with the same entries `parameters` and `covariance`.
 
+        Parameters that are not identified are left out. Deviations of entries replace those of the covariance, which
+        then gives the correlations.
+
         Raises:
             DistributionError: if the file cannot be read or describes no distribution.
         """
@@ -208,6 +211,13 @@ def _parse(content: bytes) -> Distribution:
         covariance = [[d * d * (i == k) for k in range(len(used))] for i, d in enumerate(deviations)]
     else:
         covariance = _covariance(document["covariance"], len(entries), used)
+        # Bounds may be wider than the covariance, for example those of Student's distribution.
+        stated = ["deviation" in entries[k] or "bound" in entries[k] for k in used]
+        scales = [
+            _deviation(entries[k]) / math.sqrt(covariance[i][i]) if is_stated else 1.0
+            for i, (k, is_stated) in enumerate(zip(used, stated, strict=True))
+        ]
+        covariance = [[scales[i] * c * scales[k] for k, c in enumerate(row)] for i, row in enumerate(covariance)]
     _cholesky(covariance)
     return Distribution(
         names=names,

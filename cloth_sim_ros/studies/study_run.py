@@ -11,7 +11,7 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -20,13 +20,16 @@ from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target
 from cloth_sim_ros.simulation.script_events import ScriptEvents
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.studies.errors import FolderError, folder_error
 from cloth_sim_ros.studies.folder import StudyFolder, read_row
 from cloth_sim_ros.studies.outcomes import OutcomeError, OutcomeRecorder
 from cloth_sim_ros.studies.run_recording import RunRecording
 from cloth_sim_ros.studies.study import POLICY, Study
 from cloth_sim_ros.studies.user_code import USER_ERRORS, Observation, as_events, format_error, load_function
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.ensemble import Ensemble, EnsembleFrame
 
 #: Status of a run: successful; failed by its own fault; every worker that executed it was killed.
 OK, FAILED, KILLED = "ok", "failed", "killed"
@@ -136,13 +139,18 @@ def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path)
     except RunError as error:
         return {**row, "status": FAILED, "error": str(error)}, None
     simulation, outcome_recorder = commanded.simulation, OutcomeRecorder(commanded.simulation)
+    try:
+        ensemble = _start_ensemble(simulation)
+    except ValueError as error:
+        return {**row, "status": FAILED, "error": str(error)}, None
     recording = RunRecording(folder, simulation, name=f"run_{run:07d}", clouds=study.clouds)
     try:
         try:
             for _ in range(commanded.n_frames):
                 events, frame = commanded.advance()
-                recording.add(events, frame)
-                outcome_recorder.add(frame)
+                ensemble_frame = None if ensemble is None else _advance_ensemble(ensemble, frame)
+                recording.add(events, frame, ensemble_frame)
+                outcome_recorder.add(frame, ensemble_frame)
             row["outcomes"] = {**outcome_recorder.outcomes(), **_user_outcomes(study, outcome_recorder, factor_levels)}
         except RunError as error:
             row["status"], row["error"] = FAILED, f"frame {simulation.frame}: {error}"
@@ -156,6 +164,41 @@ def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path)
     row["flagged_frames"] = outcome_recorder.n_flagged
     row["error_estimate"] = outcome_recorder.error_estimate
     return row, session
+
+
+def _start_ensemble(simulation: Simulation) -> Ensemble | None:
+    """Return the ensemble about a simulation, at its start; None if its scene names no distribution.
+
+    Raises:
+        ValueError: if the distribution does not fit the scene.
+    """
+    scene = simulation.scene
+    if not scene.ensemble.file:
+        return None
+    from cloth_sim_ros.simulation.ensemble import Ensemble
+
+    options = scene.ensemble
+    # Other runs have the other cores.
+    return Ensemble(
+        scene,
+        scene.distribution(),
+        state=simulation.state,
+        members=options.members,
+        seed=options.seed,
+        threads=1,
+    )
+
+
+def _advance_ensemble(ensemble: Ensemble, frame: Frame) -> EnsembleFrame:
+    """Advance an ensemble by the events of a frame.
+
+    Raises:
+        RunError: if a member cannot go on.
+    """
+    try:
+        return ensemble.advance(frame.events)
+    except ValueError as error:
+        raise RunError(str(error)) from error
 
 
 def _user_outcomes(study: Study, outcome_recorder: OutcomeRecorder, factor_levels: dict[str, Any]) -> dict[str, Any]:

@@ -112,10 +112,9 @@ class EnsembleCheck:
 
     def _advance(self, stamp: int) -> EnsembleFrame | None:
         """Advance the members to the first waiting frame with a stamp [ns]; None if no such frame waits."""
-        if not any(step.stamp == stamp for step in self._steps):
-            return None
+        last = next((k for k, step in enumerate(self._steps) if step.stamp == stamp), -1)
         frame: EnsembleFrame | None = None
-        while frame is None or step.stamp != stamp:
+        for _ in range(last + 1):
             step = self._steps.popleft()
             if step.start is not None:
                 self._start(*step.start)
@@ -146,7 +145,7 @@ class EnsembleCheck:
                 ("mean", recorded.xyz, frame.mean),
             ):
                 differences = np.abs(values - expected.astype(values.dtype))
-                if not differences.max() == 0.0:
+                if differences.max() != 0.0:
                     reason = f"its ensemble, by {differences.max():.3g} m of the {name}"
                     break
         self._findings.difference(_KIND, reason, rounding=" m of " in reason)

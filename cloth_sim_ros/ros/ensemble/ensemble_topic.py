@@ -66,6 +66,8 @@ class EnsembleTopic:
         #: Index of the newest frame, and of the one at which the members started.
         self._newest = self._started = 0
         self._n_starts = self._n_published = self._n_skipped = 0
+        #: Number of answers since the last one that was published.
+        self._n_late = 0
         # Each is written by one of the process's threads and read by others.
         self._state = "starting"
         self._latest: dict[str, Any] = {}
@@ -121,14 +123,11 @@ class EnsembleTopic:
             elif "cloud" in answer and 0 <= stamp - answer["stamp"] <= _MAX_AGE:
                 self._n_skipped -= 1
                 self._n_published += 1
+                self._n_late = 0
                 self._output.send(base64.b64decode(answer["cloud"]), answer["stamp"])
             elif "cloud" in answer:
-                lag = (stamp - answer["stamp"]) / 1e9
-                self._log.warn(
-                    "ensemble lag",
-                    f"~/ensemble lags by {lag:.1f} s and is not published: its {answer['members']} cloths take longer "
-                    "than the cloth's frames; take fewer uncertain parameters, or a coarser cloth",
-                )
+                self._n_late += 1
+                self._warn_of_lag((stamp - answer["stamp"]) / 1e9, answer["members"])
 
     def report(self) -> None:
         """Log the end of the process."""
@@ -171,6 +170,15 @@ class EnsembleTopic:
         period = self._simulation.scene.period
         self._must_start, self._next_start = True, index + round(_RESTART_DELAY / period)
         self._log.warn("ensemble", f"the ensemble starts anew, at the cloth's state: {reason}")
+
+    def _warn_of_lag(self, lag: float, members: int) -> None:
+        # The first answer is always late: the process has just started.
+        if self._n_late > 1:
+            self._log.warn(
+                "ensemble lag",
+                f"~/ensemble lags by {lag:.1f} s and is not published: its {members} cloths take longer than the "
+                "cloth's frames; take fewer uncertain parameters, or a coarser cloth",
+            )
 
     def _encode(self, _: bool) -> list[EnsembleStep]:
         """Take all waiting frames."""

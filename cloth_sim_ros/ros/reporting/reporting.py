@@ -100,7 +100,7 @@ class Reporting:
             self._failure.attempt("diagnostics are not published", self.diagnostics.send)
 
     def report_changes(self) -> None:
-        """Start or end the accuracy monitor by its parameter; log reports of processes, and the speed after a change."""
+        """Start or end the accuracy monitor by its parameter; log reports of processes, and speed after a change."""
         self.accuracy.update()
         self._outputs.report_processes()
         if self._parameters_changed:
