@@ -113,7 +113,7 @@ class Distribution:
                 raise DistributionError(f"unknown parameter '{name}'{suggestion(name, list(entries))}")
             value = values[name]
             numbers = value if isinstance(value, tuple) else (value,)
-            is_number = all(isinstance(number, float) for number in numbers)
+            is_number = all(isinstance(component, float) for component in numbers)
             if not is_number or not entry.live or entry.observes:
                 raise DistributionError(
                     f"'{name}' cannot vary; it must be a number that may change while the cloth runs and moves it"
@@ -165,7 +165,7 @@ class Distribution:
             if name in scaled:
                 value = scaled[name]
                 is_array = isinstance(value, list | tuple)
-                scaled[name] = tuple(factor * number for number in value) if is_array else factor * value
+                scaled[name] = tuple(factor * component for component in value) if is_array else factor * value
         return scaled
 
 
@@ -176,7 +176,7 @@ def describe_member(index: int, values: Mapping[str, Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    return ", ".join(f"{number:.6g}" for number in value) if isinstance(value, tuple) else f"{value:.6g}"
+    return ", ".join(f"{component:.6g}" for component in value) if isinstance(value, tuple) else f"{value:.6g}"
 
 
 @functools.lru_cache(maxsize=16)
@@ -255,7 +255,7 @@ def _covariance(rows: Any, size: int, used: Sequence[int]) -> list[list[float]]:
     if not is_square or not all(isinstance(row, list) and len(row) == size for row in rows):
         raise DistributionError(f"covariance must have {size} rows of {size} numbers, in the order of 'parameters'")
     covariance = [[rows[i][k] for k in used] for i in used]
-    if not all(_is_number(number) for row in covariance for number in row):
+    if not all(_is_number(entry) for row in covariance for entry in row):
         raise DistributionError("covariance has an entry of a used parameter that is no finite number")
     for i, row in enumerate(covariance):
         if not 0.0 < row[i] <= MAX_DEVIATION * MAX_DEVIATION:
@@ -279,11 +279,11 @@ def _cholesky(covariance: Sequence[Sequence[float]]) -> list[list[float]]:
     root = [[0.0] * size for _ in range(size)]
     for i in range(size):
         for k in range(i + 1):
-            rest = covariance[i][k] - ordered_sum(root[i][m] * root[k][m] for m in range(k))
+            remainder = covariance[i][k] - ordered_sum(root[i][m] * root[k][m] for m in range(k))
             if k < i:
-                root[i][k] = rest / root[k][k]
-            elif rest > 0.0:
-                root[i][i] = math.sqrt(rest)
+                root[i][k] = remainder / root[k][k]
+            elif remainder > 0.0:
+                root[i][i] = math.sqrt(remainder)
             else:
                 raise DistributionError("covariance is not positive definite; correlations are between -1 and 1")
     return root

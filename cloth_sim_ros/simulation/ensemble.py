@@ -145,14 +145,14 @@ class Ensemble:
         states = [member.state for member in self._members]
         # About the first member, so that particles that all members share have no deviation.
         origin, size = states[0].x, float(len(states))
-        offsets = [state.x - origin for state in states]
-        offset = row_sum(np.stack(offsets)) / size
-        distances = [np.square(one - offset) for one in offsets]
-        variance = row_sum(np.stack([square[0] + square[1] + square[2] for square in distances])) / size
+        offsets = np.stack([state.x - origin for state in states])
+        mean_offset = row_sum(offsets) / size
+        squares = np.square(offsets - mean_offset)
+        variance = row_sum(squares[:, 0] + squares[:, 1] + squares[:, 2]) / size
         return EnsembleFrame(
             index=states[0].frame,
             time=self._members[0].time,
-            mean=np.ascontiguousarray((origin + offset).T),
+            mean=np.ascontiguousarray((origin + mean_offset).T),
             deviation=np.sqrt(variance),
         )
 
@@ -168,8 +168,8 @@ class Ensemble:
         """
         if len(snapshot.members) != self.size:
             raise ValueError(f"the snapshot has {len(snapshot.members)} members, the ensemble {self.size}")
-        for member, one in zip(self._members, snapshot.members, strict=True):
-            one.check_fits(member.scene)
+        for member, saved in zip(self._members, snapshot.members, strict=True):
+            saved.check_fits(member.scene)
         self._restore(snapshot.members)
         self._is_varied = snapshot.varied
 
@@ -184,8 +184,8 @@ class Ensemble:
         self.close()
 
     def _restore(self, snapshots: Sequence[Snapshot]) -> None:
-        for member, one in zip(self._members, snapshots, strict=True):
-            member.restore(one)
+        for member, saved in zip(self._members, snapshots, strict=True):
+            member.restore(saved)
 
     def _member_events(self, k: int, events: Sequence[Event]) -> list[Event]:
         factors = self._factors[k]

@@ -104,6 +104,11 @@ class EnsembleCheck:
         except SessionError as error:
             self._findings.difference(_KIND, f"its ensemble cannot be read: {error}")
 
+    def end(self) -> None:
+        """End the session."""
+        self._list_left_out(len(self._steps))
+        self.close()
+
     def close(self) -> None:
         """End the members."""
         if self._ensemble is not None:
@@ -114,6 +119,7 @@ class EnsembleCheck:
         """Advance the members to the first waiting frame with a stamp [ns]; None if no such frame waits."""
         last = next((k for k, step in enumerate(self._steps) if step.stamp == stamp), -1)
         frame: EnsembleFrame | None = None
+        self._list_left_out(last)
         for _ in range(last + 1):
             step = self._steps.popleft()
             if step.start is not None:
@@ -122,6 +128,12 @@ class EnsembleCheck:
                 raise ValueError("no frame starts it")
             frame = self._ensemble.advance(step.events)
         return frame
+
+    def _list_left_out(self, count: int) -> None:
+        if count > 0:
+            self._findings.not_compared(
+                self.topic, "frames without a message, as a slow ensemble leaves them out", count
+            )
 
     def _start(self, scene: Scene, state: State) -> None:
         self.close()
@@ -138,7 +150,7 @@ class EnsembleCheck:
             self._completeness.add_missing(self.topic)
 
     def _report(self, recorded: Cloud, frame: EnsembleFrame) -> None:
-        reason = "its ensemble, by the layout of its points"
+        reason = "its ensemble, by its stamp, frame_id or layout"
         if recorded.deviation is not None and len(recorded.xyz) == len(frame.mean):
             for name, values, expected in (
                 ("deviation", recorded.deviation, frame.deviation),

@@ -199,7 +199,7 @@ class _SessionRun:
         if needs_diagnostics and not self._completeness.is_seen(DIAGNOSTICS):
             self._findings.absent(DIAGNOSTICS)
         self._commands.end()
-        self._ensemble.close()
+        self._ensemble.end()
 
     def _skip(self, message: Message) -> None:
         topic, robot = message.topic, self.simulation.scene.robot

@@ -29,9 +29,9 @@ _WORKER_MODULE = "cloth_sim_ros.ros.ensemble.ensemble_worker"
 #: Age of a frame from which it is not published any more [ns]: below the second that a recorder takes for a clock's
 #: jump.
 _MAX_AGE = 900_000_000
-#: Simulated time of the frames that may wait for the process; then the ensemble starts anew [s].
+#: Simulated time of the frames that may wait for the process; then the ensemble restarts [s].
 _MAX_BACKLOG = 60.0
-#: Simulated time until the ensemble starts anew after a member failed [s].
+#: Simulated time until the ensemble restarts after a member failed [s].
 _RESTART_DELAY = 1.0
 
 
@@ -169,7 +169,7 @@ class EnsembleTopic:
     def _restart(self, index: int, reason: str) -> None:
         period = self._simulation.scene.period
         self._must_start, self._next_start = True, index + round(_RESTART_DELAY / period)
-        self._log.warn("ensemble", f"the ensemble starts anew, at the cloth's state: {reason}")
+        self._log.warn("ensemble", f"the ensemble restarts at the cloth's state: {reason}")
 
     def _warn_of_lag(self, lag: float, members: int) -> None:
         # The first answer is always late: the process has just started.
