@@ -498,4 +498,4 @@ class EnsembleParameters:
         constraint="0, or at least 2",
         observes=True,
     )
-    seed: int = parameter("int", 0, "Seed of the random sample", min=0, observes=True)
+    seed: int = parameter("int", 0, "Seed of the random sample", min=0, max=2**31 - 1, observes=True)

@@ -139,18 +139,13 @@ def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path)
     except RunError as error:
         return {**row, "status": FAILED, "error": str(error)}, None
     simulation, outcome_recorder = commanded.simulation, OutcomeRecorder(commanded.simulation)
-    try:
-        ensemble = _start_ensemble(simulation)
-    except ValueError as error:
-        return {**row, "status": FAILED, "error": str(error)}, None
     recording = RunRecording(folder, simulation, name=f"run_{run:07d}", clouds=study.clouds)
     try:
         try:
             for _ in range(commanded.n_frames):
-                events, frame = commanded.advance()
-                ensemble_frame = None if ensemble is None else _advance_ensemble(ensemble, frame)
-                recording.add(events, frame, ensemble_frame)
-                outcome_recorder.add(frame, ensemble_frame)
+                events, frame, ensemble = commanded.advance()
+                recording.add(events, frame, ensemble)
+                outcome_recorder.add(frame, ensemble)
             row["outcomes"] = {**outcome_recorder.outcomes(), **_user_outcomes(study, outcome_recorder, factor_levels)}
         except RunError as error:
             row["status"], row["error"] = FAILED, f"frame {simulation.frame}: {error}"
@@ -213,6 +208,8 @@ class CommandedSimulation:
     simulation: Simulation
     #: Number of frames of the run.
     n_frames: int
+    #: Cloths of uncertain parameters beside it; None without a distribution.
+    ensemble: Ensemble | None
     _commands: Callable[[int], Sequence[Event]]
     _wrenches: Any = None
 
@@ -230,10 +227,11 @@ class CommandedSimulation:
         """
         try:
             simulation = Simulation(study.scene(factor_levels))
+            ensemble = _start_ensemble(simulation)
         except (ValueError, MemoryError) as error:
             raise RunError(str(error) or "not enough memory") from error
         period = simulation.scene.period
-        commanded = cls(simulation, max(1, round(study.duration / period)), lambda _frame: [])
+        commanded = cls(simulation, max(1, round(study.duration / period)), ensemble, lambda _frame: [])
         commanded._wrenches = np.zeros((len(simulation.grippers.names), 6))
         if study.policy is None:
             commanded._commands = ScriptEvents(study.moved_scripts(factor_levels), period).at
@@ -249,11 +247,12 @@ class CommandedSimulation:
         commanded._commands = functools.partial(commanded._query_policy, policy, reference, policy_values, rng)
         return commanded
 
-    def advance(self) -> tuple[Sequence[Event], Any]:
-        """Advance by one frame and return its events and the frame.
+    def advance(self) -> tuple[Sequence[Event], Frame, EnsembleFrame | None]:
+        """Advance by one frame and return its events, the frame, and that of the ensemble.
 
         Raises:
-            RunError: if the policy raises or returns invalid events, or the motion does not stay finite.
+            RunError: if the policy raises or returns invalid events, the motion does not stay finite, or a member of
+                the ensemble cannot go on.
         """
         simulation = self.simulation
         events = self._commands(simulation.frame)
@@ -264,7 +263,7 @@ class CommandedSimulation:
         except (TypeError, ValueError, ArithmeticError, MemoryError) as error:
             raise RunError(format_error(error)) from error
         self._wrenches = frame.wrenches
-        return events, frame
+        return events, frame, None if self.ensemble is None else _advance_ensemble(self.ensemble, frame)
 
     def _query_policy(
         self, policy: Any, reference: str, values: dict[str, Any], rng: Any, frame: int

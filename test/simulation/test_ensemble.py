@@ -52,10 +52,10 @@ def test_members_are_cloths_with_scaled_parameters() -> None:
             frame = ensemble.advance(events)
             for reference, (drag_factor, modulus_factor) in zip(references, factors, strict=True):
                 first = {"air.drag": drag * drag_factor, "material.stretch_modulus": modulus * modulus_factor}
-                own: list[Event] = [SetParameters(first)] if k == 0 else []
+                scaled: list[Event] = [SetParameters(first)] if k == 0 else []
                 later = {"air.drag": 0.5 * drag_factor, "gravity": [0.0, 1.0, -9.0]}
-                own += [SetParameters(later)] if k == 9 else events
-                reference.advance(own)
+                scaled += [SetParameters(later)] if k == 9 else events
+                reference.advance(scaled)
         x = np.stack([reference.positions for reference in references])
         assert ensemble.positions.tobytes() == x.tobytes()
         assert ensemble.size == 4
@@ -95,19 +95,19 @@ def test_small_deviations_follow_the_derivatives() -> None:
 
 def test_threads_and_snapshots_keep_the_bits() -> None:
     scene = scene_of()
-    with Ensemble(scene, TWO, threads=1) as one, Ensemble(scene, TWO, threads=3) as several:
+    with Ensemble(scene, TWO, threads=1) as single, Ensemble(scene, TWO, threads=3) as several:
         frames = script(scene)
         for events in frames[:8]:
-            one.advance(events)
-        saved = pickle.loads(pickle.dumps(one.snapshot()))
+            single.advance(events)
+        saved = pickle.loads(pickle.dumps(single.snapshot()))
         for events in frames[8:]:
-            one.advance(events)
+            single.advance(events)
         several.restore(saved)
         assert several.frame == 8
         for events in frames[8:]:
             frame = several.advance(events)
-        assert several.positions.tobytes() == one.positions.tobytes()
-        assert frame.deviation.tobytes() == one.statistics().deviation.tobytes()
+        assert several.positions.tobytes() == single.positions.tobytes()
+        assert frame.deviation.tobytes() == single.statistics().deviation.tobytes()
 
 
 def test_fresh_snapshot_still_varies_the_members() -> None:
@@ -116,10 +116,9 @@ def test_fresh_snapshot_still_varies_the_members() -> None:
         first = ensemble.advance()
         ensemble.restore(fresh)
         assert ensemble.advance().deviation.tobytes() == first.deviation.tobytes()
-        with Ensemble(scene_of(), TWO, members=3, threads=1) as other, pytest.raises(ValueError, match="has 3 members"):
-            ensemble.restore(other.snapshot())
-        with Ensemble(scene_of(rate=60.0), TWO, threads=1) as other, pytest.raises(ValueError, match="rate is 60"):
-            ensemble.restore(other.snapshot())
+        for scene, members, reason in ((scene_of(), 3, "has 3 members"), (scene_of(rate=60.0), 0, "rate is 60")):
+            with Ensemble(scene, TWO, members=members, threads=1) as stranger, pytest.raises(ValueError, match=reason):
+                ensemble.restore(stranger.snapshot())
 
 
 def test_ensemble_starts_in_the_middle_of_a_motion() -> None:

@@ -13,22 +13,18 @@ import pytest
 
 pytest.importorskip("mcap")
 
+from support.ensemble_session import record_ensemble
 from support.falsifier import Falsification, drop, falsify, renumbered
 
-from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader
-from cloth_sim_ros.simulation.ensemble import Ensemble
 from cloth_sim_ros.simulation.events import Event, Reset, SetParameters
-from cloth_sim_ros.simulation.simulation import Simulation
-from cloth_sim_ros.studies.run_recording import RunRecording
 from cloth_sim_ros.verify.main import describe
 from cloth_sim_ros.verify.run import verify
 
 ENSEMBLE, FRAME = "/cloth_sim/ensemble", "/cloth_sim/frame"
 FRAMES = 16
-VALUES = {"cloth.resolution": [5, 6], "cloth.anchors": ["top_left"], "rate": 30.0, "ensemble.file": "distribution.yaml"}
 EVENTS: dict[int, list[Event]] = {
     4: [SetParameters({"air.drag": 0.6})],
     9: [Reset()],
@@ -37,16 +33,7 @@ EVENTS: dict[int, list[Event]] = {
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("session")
-    (folder / "distribution.yaml").write_text("parameters: [{name: air.drag, deviation: 0.4}]")
-    scene = Scene.from_parameters(VALUES, folder=folder)
-    simulation = Simulation(scene)
-    recording = RunRecording(folder, simulation, name="run", clouds=True)
-    with Ensemble(scene, scene.distribution(), state=simulation.state, threads=1) as ensemble:
-        for k in range(FRAMES):
-            frame = simulation.advance(EVENTS.get(k, []))
-            recording.add(frame.events, frame, ensemble.advance(frame.events))
-    return recording.finish(reason="stopped")
+    return record_ensemble(tmp_path_factory.mktemp("session"), FRAMES, events=EVENTS)
 
 
 def test_ensemble_clouds_come_out_the_same(session: Path) -> None:
