@@ -55,7 +55,7 @@ class Distribution:
     def from_file(cls, path: str | Path) -> Distribution:
         """Read a file of `cloth_fit --json`, or YAML with the same entries `parameters` and `covariance`.
 
-        Parameters that are not identified are left out. Deviations of entries replace those of the covariance, which
+        Parameters that the fit left open are left out. Deviations of entries replace those of the covariance, which
         then gives the correlations.
 
         Raises:
@@ -192,9 +192,9 @@ def _parse(content: bytes) -> Distribution:
         raise DistributionError("it has no list 'parameters', of entries with name and deviation; see cloth_fit --json")
     if not all(isinstance(entry, dict) and isinstance(entry.get("name"), str) for entry in entries):
         raise DistributionError("an entry of 'parameters' has no name; write {name: air.drag, deviation: 0.2}")
-    used = [k for k, entry in enumerate(entries) if entry.get("identified", True) is True]
+    used = [k for k, entry in enumerate(entries) if not _is_open(entry)]
     if not used:
-        raise DistributionError("no parameter is identified, so that nothing is known of their deviation")
+        raise DistributionError("the fit determined no parameter; record more motions")
     if len(used) > MAX_PARAMETERS:
         raise DistributionError(f"it has {len(used)} parameters; at most {MAX_PARAMETERS} are taken")
     names = tuple(entries[k]["name"] for k in used)
@@ -202,8 +202,12 @@ def _parse(content: bytes) -> Distribution:
         if names.count(name) > 1:
             raise DistributionError(f"parameter '{name}' is given twice")
     notes = [
-        f"{entry['name']} was not identified: it does not vary" for k, entry in enumerate(entries) if k not in used
+        f"the fit did not determine {entry['name']}: it does not vary"
+        for k, entry in enumerate(entries)
+        if k not in used
     ]
+    if isinstance(document.get("doubt"), str) and document["doubt"]:
+        notes.append(f"the fit doubts its deviations: {document['doubt']}")
     if document.get("covariance") is None:
         if len(used) > 1 and any("bound" in entry for entry in entries):
             notes.append("the file has no covariance: the parameters vary independently")
@@ -229,6 +233,14 @@ def _parse(content: bytes) -> Distribution:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_open(entry: Mapping[str, Any]) -> bool:
+    """Return True for a parameter that a fit left open: its bound is missing, or too large for a distribution."""
+    if "bound" not in entry or "deviation" in entry:
+        return False
+    bound = entry["bound"]
+    return bound is None or (_is_number(bound) and bound > MAX_DEVIATION)
 
 
 def _value(entry: Mapping[str, Any]) -> float | None:

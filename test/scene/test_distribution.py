@@ -62,10 +62,11 @@ def test_file_of_cloth_fit_is_read(tmp_path: Path) -> None:
     content = {
         "name": "towel",
         "later_field": 1,
+        "doubt": "too few motions",
         "parameters": [
             {"name": "air.drag", "value": 0.3, "bound": 0.2, "identified": True, "unit": "1/s"},
             {"name": "material.damping", "value": 0.1, "bound": None, "identified": False},
-            {"name": "material.density", "value": 0.2, "bound": 0.06, "identified": True},
+            {"name": "material.density", "value": 0.2, "bound": 0.06, "identified": False},
         ],
         "covariance": [[0.04, 0.0, 0.0012], [0.0, 0.0, 0.0], [0.0012, 0.0, 0.0009]],
     }
@@ -76,7 +77,10 @@ def test_file_of_cloth_fit_is_read(tmp_path: Path) -> None:
     assert distribution.values == (0.3, 0.2)
     # The bound of the density is twice its deviation in the covariance; the correlation of 0.2 stays.
     assert np.array(distribution.covariance) == pytest.approx(np.array([[0.04, 0.0024], [0.0024, 0.0036]]))
-    assert distribution.notes == ("material.damping was not identified: it does not vary",)
+    assert distribution.notes == (
+        "the fit did not determine material.damping: it does not vary",
+        "the fit doubts its deviations: too few motions",
+    )
 
 
 def test_file_without_covariance_says_so() -> None:
@@ -103,7 +107,8 @@ def test_yaml_by_hand_is_read() -> None:
         (drag(deviation=3.0), "at most 2"),
         (drag(deviation=True), "the deviation of air.drag is True"),
         (drag(deviation=0.1, value="much"), "the value of air.drag is 'much'"),
-        (drag(bound=0.1, identified=False), "no parameter is identified"),
+        (drag(bound=None), "the fit determined no parameter"),
+        (drag(bound=5.0), "the fit determined no parameter"),
         ({"parameters": [{"name": "air.drag", "deviation": 0.1}] * 2}, "given twice"),
         ({"parameters": [{"name": f"p{k}", "deviation": 0.1} for k in range(33)]}, "at most 32"),
         ({**CORRELATED, "covariance": [[1.0]]}, "3 rows of 3 numbers"),
