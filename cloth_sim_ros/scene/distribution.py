@@ -201,11 +201,8 @@ def _parse(content: bytes) -> Distribution:
     for name in names:
         if names.count(name) > 1:
             raise DistributionError(f"parameter '{name}' is given twice")
-    notes = [
-        f"the fit did not determine {entry['name']}: it does not vary"
-        for k, entry in enumerate(entries)
-        if k not in used
-    ]
+    left_out = [entry["name"] for k, entry in enumerate(entries) if k not in used]
+    notes = [f"the fit did not determine {name}: it does not vary" for name in left_out]
     if isinstance(document.get("doubt"), str) and document["doubt"]:
         notes.append(f"the fit doubts its deviations: {document['doubt']}")
     if document.get("covariance") is None:

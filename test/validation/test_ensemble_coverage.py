@@ -14,8 +14,8 @@ def test_probability_within_two_deviations_is_that_of_theory() -> None:
     axes = np.eye(3)
     line, isotropic = np.stack([axes[:1], -axes[:1]]), np.concatenate([axes, -axes])
     # A normal number within two deviations; a chi-squared number of three degrees of freedom below 12.
-    probability = probability_within(np.concatenate([line, line, line])), probability_within(isotropic[:, None])
-    assert [float(each[0]) for each in probability] == pytest.approx([0.9545, 0.9926], abs=0.006)
+    along_line, in_all_directions = probability_within(line), probability_within(isotropic[:, None])
+    assert [*along_line, *in_all_directions] == pytest.approx([0.9545, 0.9926], abs=0.006)
 
 
 @pytest.mark.parametrize("name", ["swing from a corner", "carried corner"])
