@@ -35,7 +35,9 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.plan.plan import Plan, compile
     from cloth_sim_ros.physics.simulate import Motion, simulate
     from cloth_sim_ros.physics.state.state import State
+    from cloth_sim_ros.scene.distribution import Distribution
     from cloth_sim_ros.scene.scene import Scene
+    from cloth_sim_ros.simulation.ensemble import Ensemble, EnsembleFrame
     from cloth_sim_ros.simulation.events import (
         Grasp,
         Move,
@@ -59,7 +61,10 @@ _MODULES = {
     "CandidateSprings": "physics.model.forces.candidates",
     "compile": "physics.plan.plan",
     "CrossedSprings": "physics.model.forces.crossed",
+    "Distribution": "scene.distribution",
     "Drag": "physics.model.forces.drag",
+    "Ensemble": "simulation.ensemble",
+    "EnsembleFrame": "simulation.ensemble",
     "Extrapolated": "physics.control.extrapolated",
     "Force": "physics.model.forces.force",
     "Frame": "simulation.simulation",
@@ -100,7 +105,10 @@ __all__ = [
     "AltitudeSprings",
     "CandidateSprings",
     "CrossedSprings",
+    "Distribution",
     "Drag",
+    "Ensemble",
+    "EnsembleFrame",
     "Extrapolated",
     "Force",
     "Frame",

@@ -23,8 +23,12 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
         "cloth_sim",
         "scene of the package: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
         "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold, three "
-        "towels in a stack, a strip that two grippers twist, a sheet before a depth camera, a sheet beside an arm",
-        ["cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist", "camera", "robot_arm"],
+        "towels in a stack, a strip that two grippers twist, a sheet before a depth camera, a sheet beside an arm, "
+        "a towel of uncertain parameters",
+        [
+            *("cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist", "camera"),
+            *("robot_arm", "uncertain"),
+        ],
     ),
     ("params_file", "", "ROS parameter file of the cloth, in place of a scene of the package", None),
     ("namespace", "", "namespace of the node", None),
@@ -46,7 +50,11 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
     ("rviz_config", PathJoinSubstitution([_CONFIG, "cloth_sim.rviz"]), "configuration of RViz", None),
 ]
 #: Files of scenes, which a node gets by absolute path: parameter and name.
-_FILES = {"stack": ("cloth.mesh", "stack.obj"), "robot_arm": ("robot.description_file", "arm.urdf")}
+_FILES = {
+    "stack": ("cloth.mesh", "stack.obj"),
+    "robot_arm": ("robot.description_file", "arm.urdf"),
+    "uncertain": ("ensemble.file", "uncertain.distribution.yaml"),
+}
 #: Topics of the RViz configuration, written for a node /cloth_sim with a gripper `gripper`.
 _RVIZ_TOPICS = ("points", "mesh", "obstacles", "gripper/point")
 

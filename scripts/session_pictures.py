@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes pictures of docs/images: five sessions, simulated, recorded, and painted by `cloth_replay`.
+"""Makes pictures of docs/images: six sessions, simulated, recorded, and painted by `cloth_replay`.
 
 .venv/bin/python scripts/session_pictures.py [name ...]
 """
@@ -24,8 +24,11 @@ from support.session_maker import SessionMaker, carried_corner  # type: ignore[i
 from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
 from cloth_sim_ros.scene.parameters.parameter_file import read as read_parameters  # noqa: E402
 from cloth_sim_ros.scene.scene import Scene  # noqa: E402
+from cloth_sim_ros.simulation.ensemble import Ensemble  # noqa: E402
 from cloth_sim_ros.simulation.events import Event, Grasp, Target  # noqa: E402
 from cloth_sim_ros.simulation.gripper_script import GripperScript  # noqa: E402
+from cloth_sim_ros.simulation.simulation import Simulation  # noqa: E402
+from cloth_sim_ros.studies.run_recording import RunRecording  # noqa: E402
 
 #: Orientation of a lying sheet.
 FLAT = [0.0, 0.0, 0.0, 1.0]
@@ -146,5 +149,20 @@ def paint(name: str) -> int:
         )
 
 
+def paint_uncertain(name: str) -> int:
+    """Paint uncertain.yaml, coloured by the deviation of its ensemble; return the exit status of `cloth_replay`."""
+    scene = Scene.from_file(ROOT / "config" / f"{name}.yaml")
+    simulation = Simulation(scene)
+    with tempfile.TemporaryDirectory() as folder, Ensemble(scene, scene.distribution()) as ensemble:
+        recording = RunRecording(Path(folder), simulation, name=name, clouds=True)
+        for _ in range(150):
+            frame = simulation.advance()
+            recording.add([], frame, ensemble.advance())
+        out = ROOT / "docs" / "images" / f"{name}.png"
+        session = recording.finish(reason="stopped")
+        return cloth_replay([str(session), "--screenshot", str(out), "--at", "1.9", "--size", "1280x760"])
+
+
 if __name__ == "__main__":
-    sys.exit(max(paint(name) for name in sys.argv[1:] or PICTURES))
+    names = sys.argv[1:] or [*PICTURES, "uncertain"]
+    sys.exit(max(paint_uncertain(name) if name == "uncertain" else paint(name) for name in names))

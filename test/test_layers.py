@@ -170,11 +170,17 @@ def test_node_loads_without_pip_only_packages() -> None:
     loaded_by(modules_of("ros"), absent={"mcap", "rosbags", "lz4", "zstandard", "tf2_ros", "launch", *LATE})
 
 
-def test_node_loads_no_camera_module() -> None:
-    # Only a scene with cameras does.
+def test_node_loads_no_camera_and_no_ensemble_module() -> None:
+    # Only a scene with cameras or a distribution does.
     pytest.importorskip("rclpy")
-    loaded = loaded_by(["cloth_sim_ros.ros.node"])
-    assert not [name for name in loaded if "camera" in name.split(".")], sorted(loaded)
+    loaded, unused = loaded_by(["cloth_sim_ros.ros.node"]), {"camera", "ensemble", "distribution"}
+    assert not [name for name in loaded if unused & set(name.split("."))], sorted(loaded)
+
+
+def test_unused_ensemble_is_not_loaded_by_simulation_and_studies() -> None:
+    skip_without("verify")
+    loaded = loaded_by(["cloth_sim_ros.simulation.simulation", "cloth_sim_ros.studies.study_run"])
+    assert not [name for name in loaded if {"ensemble", "distribution"} & set(name.split("."))], sorted(loaded)
 
 
 def test_replay_loads_without_ros_and_without_scipy() -> None:

@@ -23,6 +23,7 @@ PAGES = [
         "node/cameras.md",
         "node/gripper_action.md",
         "node/simulation_interfaces.md",
+        "node/uncertainty.md",
         "node/viewers.md",
         "tutorials/robot.md",
     )

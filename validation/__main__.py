@@ -24,6 +24,10 @@ COMMANDS = {
         "validation.stability.coupling",
         "delays of forces with which a wrist in another simulator stays stable",
     ),
+    "ensemble-coverage": (
+        "validation.ensemble.coverage",
+        "share of cloths with random parameters within two deviations of an ensemble's mean",
+    ),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
     "fabric-moduli": ("validation.moduli.fabric", "strips cut at angles to the warp against laminate theory"),
 }

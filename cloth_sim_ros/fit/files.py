@@ -39,6 +39,7 @@ def write_json(fit: Fit, path: Path) -> None:
             }
             for estimate in fit.estimates
         ],
+        "covariance": fit.covariance.tolist(),
         "confounded": [
             {
                 "parameters": [p.name for p in direction.parameters],

@@ -56,6 +56,9 @@ class Fit:
     #: Name of the recording.
     name: str
     estimates: tuple[Estimate, ...]
+    #: Covariance of the estimates' logarithms, in their order, shape (n, n): bounds and correlations. Without the
+    #: directions that the clouds do not determine.
+    covariance: NDArray[np.float64]
     #: Confounded directions, the most uncertain first.
     confounded: tuple[ConfoundedDirection, ...]
     #: Standard deviation of a measured coordinate [m]: prescribed, or estimated from the residuals.
@@ -178,6 +181,7 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
     return Fit(
         name=recording.name,
         estimates=tuple(estimates),
+        covariance=np.asarray(inflation**2 * np.linalg.pinv(fisher, hermitian=True), dtype=np.float64),
         confounded=tuple(confounded_directions(parameters, fisher / inflation**2, within)),
         sigma=last.sigma,
         is_sigma_prescribed=problem.sigma is not None,

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from cloth_sim_ros.learning.actions import ActionDecoder
 from cloth_sim_ros.learning.process_rollouts import roll_out_in_processes
 from cloth_sim_ros.learning.rollout import Rollout, RolloutRequest, roll_out, select_particles
-from cloth_sim_ros.learning.thread_pool import ThreadPool, resolve_worker_count
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
+from cloth_sim_ros.simulation.thread_pool import ThreadPool, resolve_worker_count
 
 
 @attrs.frozen(kw_only=True, eq=False)

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.learning.actions import ActionDecoder
-from cloth_sim_ros.learning.thread_pool import ThreadPool
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
+from cloth_sim_ros.simulation.thread_pool import ThreadPool
 
 #: Takes a random generator and the scene; returns another scene, values of parameters by full name, or None.
 Randomise = Callable[[np.random.Generator, Scene], Scene | Mapping[str, Any] | None]

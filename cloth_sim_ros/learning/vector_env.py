@@ -31,12 +31,12 @@ from cloth_sim_ros.learning.spaces import (
     observation_space,
     scene_of,
 )
-from cloth_sim_ros.learning.thread_pool import ThreadPool
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
+from cloth_sim_ros.simulation.thread_pool import ThreadPool
 
 #: Default speed limit of a gripper's target [m/s].
 SPEED = 1.0

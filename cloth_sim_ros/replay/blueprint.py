@@ -95,6 +95,8 @@ def make_blueprint(scan: PreScan, *, following: bool = False, picture: bool = Fa
 def _colouring(scan: PreScan) -> str:
     if scan.error_limit is not None:
         return f"Cloth, coloured by error: light 0, red {scan.error_limit:g} m"
+    if scan.deviation_limit is not None:
+        return f"Cloth, coloured by deviation of the ensemble: light 0, red {scan.deviation_limit:g} m"
     return f"Cloth, coloured by strain: light 0, red {100.0 * scan.strain_limit:g} %"
 
 

@@ -89,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     size = "size of the picture; default: 1600x900"
     parser.add_argument("--size", metavar="WxH", type=_size, default=(1600, 900), help=size)
     parser.add_argument("--every", metavar="N", type=int, default=1, help="show every Nth cloud; default: all")
-    strain = "strain of the last colour; default: from the session"
+    strain = "strain of the last colour, instead of an ensemble's deviation; default: from the session"
     parser.add_argument("--strain-limit", metavar="PERCENT", type=float, help=strain)
     accuracy = "measure the error like cloth_verify --accuracy; colour the cloth by it, and plot it"
     parser.add_argument("--accuracy", action="store_true", help=accuracy)

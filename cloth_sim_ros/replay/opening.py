@@ -58,6 +58,8 @@ class Opening:
     """Names of all described obstacles, active or not."""
     positions: NDArray[np.float64]
     """Particle positions before the first frame [m], shape (particle_count, 3)."""
+    has_ensemble: bool = False
+    """True if an ensemble of uncertain parameters ran beside the cloth."""
 
     def anchored(self, rows: int, columns: int, anchors: Sequence[str] | None = None) -> NDArray[np.intp]:
         """Return the indices of the anchored particles of a grid; of a mesh (one row), the anchors given by index.
@@ -107,6 +109,7 @@ def _opening(scene_yaml: str, state: bytes) -> Opening:
         ),
         obstacles=tuple(sorted(name.removesuffix(".shape") for name in values if name.endswith(".shape"))),
         positions=positions,
+        has_ensemble=bool(values.get("ensemble.file")),
     )
 
 

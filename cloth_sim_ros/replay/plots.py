@@ -15,6 +15,7 @@ DIAGNOSTICS_TOPIC = "/diagnostics"
 
 #: Titles of the plots by path, from top to bottom of the window.
 PLOTS = {
+    "plots/deviation": "Largest deviation [m]",
     "plots/strain": "Largest strain [%]",
     "plots/force": "Force of the cloth [N]",
     "plots/steps": "Steps a frame",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.replay.deviations import FOLLOWED_DEVIATION, typical_deviation
 from cloth_sim_ros.replay.opening import Opening, read_opening
 from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, PLOTS, diagnostic_numbers, extra_numbers
 from cloth_sim_ros.replay.surface_geometry import SurfaceGeometry, make_surface_geometry
@@ -52,7 +53,9 @@ class PreScan:
     plots: tuple[str, ...]
     """Paths of the plots that have numbers, in order."""
     error_limit: float | None = None
-    """Error of the last colour [m]; None if strain is shown."""
+    """Error of the last colour [m]; None if strain or deviation is shown."""
+    deviation_limit: float | None = None
+    """Deviation of the last colour [m]; None if strain or error is shown."""
 
 
 def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is_followed: bool = False) -> PreScan:
@@ -99,7 +102,15 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
     geometry.compute(np.ascontiguousarray(opening.positions, dtype=np.float32), normals, strain)
     # The snap of a released cloth lasts a few frames; they may exceed the colour range.
     typical_strain = float(np.quantile(strains, 0.9)) if strains else 0.0
-    always = {"plots/strain", "plots/steps"}
+    shown = {"plots/strain", "plots/steps"} | sample.plots
+    if is_followed:
+        shown |= set(PLOTS) - {"plots/error", "plots/deviation"}
+    deviation_limit = None
+    if opening.has_ensemble:
+        shown.add("plots/deviation")
+        if strain_limit is None:
+            windows, count = _windows(reader, 1 if is_followed else SAMPLES), len(rest_positions)
+            deviation_limit = FOLLOWED_DEVIATION if is_followed else typical_deviation(reader, windows, count)
     return PreScan(
         opening=opening,
         rows=rows,
@@ -111,7 +122,8 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
         high=high,
         gripper_targets=gripper_targets,
         strain_limit=strain_limit or (FOLLOWED_LIMIT if is_followed else round_up(max(typical_strain, _MIN_LIMIT))),
-        plots=tuple(path for path in PLOTS if path in always | sample.plots or (is_followed and path != "plots/error")),
+        plots=tuple(path for path in PLOTS if path in shown),
+        deviation_limit=None if deviation_limit is None else round_up(deviation_limit),
     )
 
 

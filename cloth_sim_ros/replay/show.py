@@ -128,7 +128,7 @@ def _with_accuracy(
         return
     with tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder:
         measured = measure(paths, Path(folder), len(scan.opening.positions))
-        yield dataclasses.replace(scan, plots=ACCURACY, error_limit=measured.limit), measured
+        yield dataclasses.replace(scan, plots=ACCURACY, error_limit=measured.limit, deviation_limit=None), measured
 
 
 def _scan(reader: SessionReader, strain_limit: float | None, follow: bool) -> PreScan:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.replay import colours
+from cloth_sim_ros.replay import colours, deviations
 from cloth_sim_ros.replay.accuracy import MeasuredAccuracy, draw_curves
 from cloth_sim_ros.replay.gripper_view import GripperView
 from cloth_sim_ros.replay.grippers import GripperTracks
@@ -81,6 +81,10 @@ class ReplayStream:
         wrench_sources = [*(start.name for start in scan.opening.grippers), *scan.opening.obstacles]
         self._wrenches = {f"{node}/{name}/wrench": name for name in wrench_sources}
         self._states = {f"{node}/{start.name}/state": start.name for start in scan.opening.grippers}
+        self._ensemble = deviations.ensemble_topic(node) if scan.opening.has_ensemble else ""
+        self._recent = deviations.RecentMoments()
+        #: Number of messages of the ensemble.
+        self._n_deviations = 0
         self._every, self._last_time = every, last_time
         self._anchored = scan.opening.anchored(scan.rows, scan.columns)
         self._grippers = GripperTracks(scan.opening, self._anchored)
@@ -109,7 +113,8 @@ class ReplayStream:
     def topics(self) -> frozenset[str]:
         """Topics that are shown."""
         fixed = (self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout")
-        return frozenset({*fixed, *self._wrenches, *self._states})
+        ensemble = [self._ensemble] if self._ensemble else []
+        return frozenset({*fixed, *ensemble, *self._wrenches, *self._states})
 
     @property
     def time(self) -> float:
@@ -132,6 +137,8 @@ class ReplayStream:
             self.add_record(read_frame(message), message.log_time)
         elif topic == self._points:
             self._add_cloud(message)
+        elif topic == self._ensemble:
+            self._add_deviations(message)
         elif topic == self._obstacles:
             self._solids.show(self._moment._replace(ros_time=message.log_time), message.data)
         elif topic in self._wrenches:
@@ -155,6 +162,7 @@ class ReplayStream:
             SessionError: if one of its events is invalid.
         """
         moment = self._moment = Moment(record.time, ros_time, record.frame)
+        self._recent.add(moment)
         self._log_events()
         try:
             counts = self._grippers.advance(record, lambda: self._positions_before(record))
@@ -250,6 +258,8 @@ class ReplayStream:
         # A cloud without a frame record is shown at the last known simulated time.
         moment = self._moment._replace(ros_time=message.log_time)
         self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
+        if self.clouds_seen == 1:
+            self._show_deviations(moment, np.zeros(len(xyz), np.float32))
         shade = strain if self._accuracy is None else self._accuracy.errors(moment.frame)
         shown = _ShownCloud(moment, xyz, normals, shade, self._view.held(xyz))
         if self._last_time is None:
@@ -265,13 +275,38 @@ class ReplayStream:
             self._unflushed = 0
             self._recording.flush()
 
+    def _add_deviations(self, message: Message) -> None:
+        """Colour the cloth by the deviations of an earlier frame, at the time of that frame."""
+        moment = self._recent.find(message.publish_time)
+        values = deviations.read_deviations(message.data, len(self._scan.opening.positions))
+        if moment is None:
+            return
+        self._scalar("plots/deviation/largest_deviation", moment, float(values.max()))
+        self._n_deviations += 1
+        is_shown = (self._n_deviations - 1) % self._every == 0
+        if is_shown and (self._last_time is None or moment.sim_time <= self._last_time):
+            self._show_deviations(moment, np.asarray(values, dtype=np.float32))
+
+    def _show_deviations(self, moment: Moment, values: NDArray[np.float32]) -> None:
+        import rerun as rr
+
+        limit = self._scan.deviation_limit
+        if limit is not None and self._accuracy is None:
+            colour = np.empty(len(values), np.uint32)
+            colours.strain_colours(values, limit, colour)
+            # Rows of their own, because few frames of a slow ensemble have deviations.
+            self._table(CLOTH, rr.Mesh3D, part="colours").add(moment, vertex_colors=colour)
+
     def _show(self, shown: _ShownCloud) -> None:
 
         moment, xyz, normals, shade, held = shown
-        colour = np.empty(len(xyz), np.uint32)
-        limit = self._scan.strain_limit if self._accuracy is None else self._accuracy.limit
-        colours.strain_colours(shade, limit, colour)
-        self._cloth_rows.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
+        if self._accuracy is None and self._scan.deviation_limit is not None:
+            self._cloth_rows.add(moment, vertex_positions=xyz, vertex_normals=normals)
+        else:
+            colour = np.empty(len(xyz), np.uint32)
+            limit = self._scan.strain_limit if self._accuracy is None else self._accuracy.limit
+            colours.strain_colours(shade, limit, colour)
+            self._cloth_rows.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
         if self._has_anchors:
             self._anchor_rows.add(moment, positions=xyz[self._anchored])
         self._view.show_held(moment, held)
@@ -302,9 +337,9 @@ class ReplayStream:
 
         self._table(LOG, rr.TextLog).add(moment, text=text, level=level)
 
-    def _table(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> Rows:
-        # An entity may have several archetypes, each with separate rows.
-        key = f"{path} {archetype.__name__}"
+    def _table(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = (), part: str = "") -> Rows:
+        # An entity may have several archetypes, and parts of one, each with separate rows.
+        key = f"{path} {archetype.__name__} {part}"
         rows = self._tables.get(key)
         if rows is None:
             rows = self._tables[key] = Rows(path, archetype, ragged=ragged)

@@ -199,7 +199,7 @@ class ClothNode:
 
     def _close(self, timeout: float) -> None:
         self.reporting.accuracy.close()
-        self.outputs.close_cameras()
+        self.outputs.close_processes()
         self.recording.session.discard()
         self.stepper.queue.refuse("the node stops")
         # If a signal aborted a frame, there is no consistent state to report.
@@ -232,6 +232,7 @@ class ClothNode:
         stamp, last_command = self.timing.stamps(tick)
         self.recording.session.before_frame(stamp)
         self.reporting.accuracy.before_frame()
+        self.outputs.before_frame()
         first += [*self.inputs.events(stamp, last_command), *self.timing.governor.events()]
         frame = self.stepper.advance(last_command, first, last=last)
         if frame is None:
@@ -242,8 +243,10 @@ class ClothNode:
         self.inputs.observe(frame)
         self.reporting.observe(frame, self.stepper.trouble)
         if self.outputs.must_publish(frame, start):
+            self.recording.session.extras |= self.outputs.labels(frame)
             self.recording.session.add_frame(frame, stamp)
             self.outputs.send(frame, stamp)
+        self.outputs.send_late(stamp)
         self.recording.session.commit()
         # Last, because an answer is final.
         self.stepper.answer()

@@ -17,7 +17,7 @@ from cloth_sim_ros.scene.input_file import InputFileError
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Parameters that name a file.
-FILE_PARAMETERS = ("cloth.mesh", "cloth.springs", "bending.rest_angles", "initial_state")
+FILE_PARAMETERS = ("cloth.mesh", "cloth.springs", "bending.rest_angles", "initial_state", "ensemble.file")
 #: Parameter that names a fabric, or the file of one.
 FABRIC = "material.fabric"
 #: End of the name of a parameter that names an obstacle's file.

@@ -44,6 +44,7 @@ from cloth_sim_ros.scene.sections import (
     ContactParameters,
     CoverageParameters,
     DiagnosticsParameters,
+    EnsembleParameters,
     GripperParameters,
     MaterialParameters,
     MembraneParameters,
@@ -59,6 +60,7 @@ from cloth_sim_ros.scene.value_checks import check_values
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.obstacles import Obstacle
+    from cloth_sim_ros.scene.distribution import Distribution
 
 #: Parameters and groups of parameters that rclpy declares by itself.
 _ROS_GROUPS = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -190,6 +192,7 @@ class Scene:
     tf: TfParameters = section(TfParameters)
     record: RecordParameters = section(RecordParameters)
     diagnostics: DiagnosticsParameters = section(DiagnosticsParameters)
+    ensemble: EnsembleParameters = section(EnsembleParameters)
     #: Described obstacles by name: those in `obstacles`, and those that can be added to it.
     described: dict[str, sections.ObstacleParameters] = attrs.field(factory=dict)
     #: Parameters of the depth cameras by name.
@@ -207,6 +210,8 @@ class Scene:
         coverage.check_coverage(self)
         if self.initial_state:
             self._loaded_state()
+        if self.ensemble.file:
+            self.distribution()
         if scene_pinch.pads_of(self, 1.0) or (self.obstacle_names and self.solids) or self.contact.self_:
             scene_obstacles.check_cloth(self.sheet, self.contact.thickness, touches_itself=self.contact.self_)
 
@@ -427,6 +432,24 @@ class Scene:
         if isinstance(sheet, GridSheet):
             return grid_threads_of(self, sheet).poisson_ratio
         return POISSON_RATIO if isinstance(sheet, MeshSheet) else None
+
+    def distribution(self) -> Distribution:
+        """Return the distribution of `ensemble.file`.
+
+        Raises:
+            ParameterError: if there is none, its content is invalid, or its parameters cannot vary in this scene.
+        """
+        from cloth_sim_ros.scene.distribution import Distribution
+
+        if not self.ensemble.file:
+            raise ParameterError("ensemble.file is empty; name a file of cloth_fit --json")
+        subject = f"ensemble.file '{self.ensemble.file}'"
+        distribution = Distribution.from_bytes(self.files[self.ensemble.file], subject)
+        try:
+            distribution.check(self)
+        except ParameterError as error:
+            raise ParameterError(f"{subject}: {error}") from error
+        return distribution
 
     def anchored_particles(self) -> list[int]:
         """Return the indices of the anchored particles."""

@@ -553,3 +553,26 @@ class DiagnosticsParameters:
         live=True,
         observes=True,
     )
+
+
+@attrs.frozen(kw_only=True)
+class EnsembleParameters:
+    """Ensemble of cloths with uncertain parameters beside the cloth."""
+
+    file: str = parameter(
+        "string",
+        "",
+        "Distribution of uncertain parameters: a file of cloth_fit --json, or YAML. ~/ensemble then has the mean of an "
+        "ensemble of cloths and the deviation of each particle, computed in a separate process; empty: no ensemble",
+        observes=True,
+    )
+    members: int = parameter(
+        "int",
+        0,
+        "Number of its cloths: a random sample of at least 2; 0: sigma points, two for each parameter",
+        min=0,
+        max=1000,
+        constraint="0, or at least 2",
+        observes=True,
+    )
+    seed: int = parameter("int", 0, "Seed of the random sample", min=0, max=2**31 - 1, observes=True)

@@ -33,6 +33,9 @@ class SceneValues(Protocol):
     def robot(self) -> sections.RobotParameters: ...
 
     @property
+    def ensemble(self) -> sections.EnsembleParameters: ...
+
+    @property
     def tolerance(self) -> float: ...
 
     @property
@@ -101,6 +104,8 @@ def _faults(scene: SceneValues) -> Iterator[str]:
         yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
     if not any(scene.material.warp_direction):
         yield "material.warp_direction is [0.0, 0.0, 0.0]; give a direction, e.g. [0.0, 1.0, 0.0]"
+    if scene.ensemble.members == 1:
+        yield "ensemble.members is 1, and a single cloth has no deviation; take 2 or more, or 0 for sigma points"
     orientations = {
         "cloth.orientation": scene.cloth.orientation,
         "gripper.sensor_orientation": scene.gripper.sensor_orientation,

@@ -37,7 +37,7 @@ __all__ = [
 _LITTLE = b"\x00\x01\x00\x00"
 #: Size [bytes] of a number by its type in sensor_msgs/PointField: FLOAT32, FLOAT64.
 _FIELD_SIZES = {7: 4, 8: 8}
-_POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
+_POSITION, _VELOCITY, _DEVIATION = ("x", "y", "z"), ("vx", "vy", "vz"), "deviation"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +54,8 @@ class Cloud:
     cloud has further fields."""
     velocity: NDArray[np.floating] | None = None
     """Velocities [m/s], likewise; None if the cloud has no fields vx, vy, vz."""
+    deviation: NDArray[np.floating] | None = None
+    """Deviations [m], shape (height * width,), read-only; None if the cloud has no field deviation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,25 +145,26 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
     if height * row_step > size or width * point_step > row_step or end > point_step:
         raise SessionError(f"a cloud of {height} x {width} points of {point_step} bytes does not fit its {size} bytes")
 
-    def view(names: tuple[str, str, str]) -> NDArray[np.floating]:
+    def view(*names: str) -> NDArray[np.floating]:
         offset, length = fields[names[0]]
         points = np.ndarray(
-            (height, width, 3),
+            (height, width, len(names)),
             dtype=f"{'>' if big_endian else '<'}f{length}",
             buffer=data,
             offset=start + offset,
-            strides=(row_step, point_step, fields[names[1]][0] - offset),
+            strides=(row_step, point_step, fields[names[min(1, len(names) - 1)]][0] - offset),
         )
         points.flags.writeable = False
-        return points.reshape(height * width, 3)
+        return points.reshape(height * width, len(names))
 
     return Cloud(
         stamp=seconds * 1_000_000_000 + nanoseconds,
         frame_id=frame_id,
         height=height,
         width=width,
-        xyz=view(_POSITION),
-        velocity=view(_VELOCITY) if _evenly_spaced(fields, _VELOCITY) else None,
+        xyz=view(*_POSITION),
+        velocity=view(*_VELOCITY) if _evenly_spaced(fields, _VELOCITY) else None,
+        deviation=view(_DEVIATION)[:, 0] if _DEVIATION in fields else None,
     )
 
 

@@ -20,10 +20,18 @@ class CloudPoints:
         normal: True for fields normal_x, normal_y, normal_z.
         ids: True for a field id, the index of the point.
         double: True for double precision, except of ids.
+        deviation: True for a field deviation [m].
     """
 
     def __init__(
-        self, count: int, *, velocity: bool = False, normal: bool = False, ids: bool = False, double: bool = False
+        self,
+        count: int,
+        *,
+        velocity: bool = False,
+        normal: bool = False,
+        ids: bool = False,
+        double: bool = False,
+        deviation: bool = False,
     ) -> None:
         length, datatype = (8, _FLOAT64) if double else (4, _FLOAT32)
         vectors = ["x", "y", "z"] + ["vx", "vy", "vz"] * velocity + ["normal_x", "normal_y", "normal_z"] * normal
@@ -32,6 +40,9 @@ class CloudPoints:
         offset = length * len(vectors)
         #: Bytes of the normal in a point; empty without one.
         self.normal_bytes = slice(offset - 3 * length * normal, offset)
+        if deviation:
+            self.fields.append(("deviation", offset, datatype))
+            offset += length
         #: Size of a point [bytes].
         self.point_step = offset + 4 * ids
         self._bytes = np.zeros((count, self.point_step), np.uint8)
@@ -39,6 +50,7 @@ class CloudPoints:
             self.fields.append(("id", offset, _UINT32))
             self._view("<u4", offset, 1)[:, 0] = np.arange(count)
         self._vectors = [self._view(f"<f{length}", 3 * length * k, 3) for k in range(len(vectors) // 3)]
+        self._deviation = self._view(f"<f{length}", length * len(vectors), 1)[:, 0] if deviation else None
 
     def _view(self, dtype: str, offset: int, width: int) -> NDArray[np.generic]:
         length = np.dtype(dtype).itemsize
@@ -59,3 +71,8 @@ class CloudPoints:
         for view, vector in zip(self._vectors, present, strict=True):
             view[:] = vector.T
         return self._bytes.data
+
+    def write_deviation(self, deviation: NDArray[np.float64]) -> None:
+        """Write the deviation [m] of each point, shape (n,), which the next bytes contain."""
+        assert self._deviation is not None
+        self._deviation[:] = deviation

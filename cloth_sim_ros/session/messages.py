@@ -83,8 +83,14 @@ class CloudEncoder:
         stamp: int,
         v: NDArray[np.float64] | None = None,
         normals: NDArray[np.float64] | None = None,
+        deviation: NDArray[np.float64] | None = None,
     ) -> bytes:
-        """Encode positions x [m] and, if the cloud has them, velocities v [m/s] and normals, all of shape (3, n)."""
+        """Encode positions x [m] and, if the cloud has them, velocities v [m/s] and normals, all of shape (3, n).
+
+        `deviation`: deviation of each particle [m], shape (n,), if the cloud has that field.
+        """
+        if deviation is not None:
+            self._points.write_deviation(deviation)
         data = self._points.write(x, v, normals)
         return b"".join((_LITTLE, _encode_stamp(stamp), self._constant_part, data, self._trailer))
 

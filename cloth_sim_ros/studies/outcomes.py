@@ -6,12 +6,15 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.studies.user_code import USER_ERRORS, Finished, format_error
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.ensemble import EnsembleFrame
 
 
 class OutcomeError(RuntimeError):
@@ -29,6 +32,11 @@ BUILT_IN = {
     "largest_force": "largest force of the cloth on a gripper, mean over a frame [N]",
     "largest_torque": "largest torque of the cloth on a gripper, mean over a frame [N m]",
     "held": "particles that grippers hold at the end",
+}
+#: Further outcomes of a run whose scene names a distribution of uncertain parameters (`ensemble.file`).
+OF_ENSEMBLE = {
+    "deviation": "largest deviation of a particle in the ensemble at the end [m]",
+    "deviation_rms": "root mean square of the particles' deviations at the end [m]",
 }
 
 
@@ -48,14 +56,16 @@ class OutcomeRecorder:
         self.n_flagged = 0
         #: Sum of the frames' estimated position errors [m]; None if no tolerance is set.
         self.error_estimate: float | None = None
+        self._ensemble: EnsembleFrame | None = None
 
     @property
     def n_frames(self) -> int:
         """Number of recorded frames."""
         return len(self._times)
 
-    def add(self, frame: Frame) -> None:
-        """Record a frame."""
+    def add(self, frame: Frame, ensemble: EnsembleFrame | None = None) -> None:
+        """Record a frame, and that of an ensemble beside it."""
+        self._ensemble = ensemble
         self._times.append(frame.time)
         self._wrenches.append(frame.wrenches.copy())
         if frame.advance is not None:
@@ -69,7 +79,8 @@ class OutcomeRecorder:
         wrenches = np.array(self._wrenches).reshape(-1, 6)
         forces, torques = wrenches[:, :3], wrenches[:, 3:]
         extent = x.max(axis=1) - x.min(axis=1)
-        names = self._simulation.grippers.names
+        names, ensemble = self._simulation.grippers.names, self._ensemble
+        deviations = {} if ensemble is None else _deviations(ensemble)
         return {
             "mean_height": float(x[2].mean()),
             "lowest_height": float(x[2].min()),
@@ -78,6 +89,7 @@ class OutcomeRecorder:
             "largest_force": _largest(forces),
             "largest_torque": _largest(torques),
             "held": float(sum(self._simulation.grasped_count(k) for k in range(len(names)))),
+            **deviations,
         }
 
     def user_outcomes(self, functions: Mapping[str, Callable[..., Any]], values: dict[str, Any]) -> dict[str, Any]:
@@ -107,10 +119,14 @@ class OutcomeRecorder:
                 raise OutcomeError(f"outcome '{reference}' raised {format_error(error)}") from error
             answers = answer if isinstance(answer, Mapping) else {reference.rpartition(":")[2]: answer}
             for name, value in answers.items():
-                if name in BUILT_IN:
+                if name in BUILT_IN or name in OF_ENSEMBLE:
                     raise OutcomeError(f"outcome '{reference}' gives '{name}', which every run has; rename it")
                 results[str(name)] = _to_float(reference, str(name), value)
         return results
+
+
+def _deviations(ensemble: EnsembleFrame) -> dict[str, float]:
+    return {"deviation": ensemble.largest, "deviation_rms": ensemble.root_mean_square}
 
 
 def _largest(vectors: Any) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cloth_sim_ros.physics.model.sheets.normals import vertex_normals
 from cloth_sim_ros.scene.parameters import parameter_file
@@ -20,6 +20,9 @@ from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterO
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target, to_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.ensemble import EnsembleFrame
 
 NODE = "/cloth_sim"
 #: ROS time of every run's start [ns]: constant, so that the same run has the same bytes.
@@ -40,6 +43,8 @@ class _PendingFrame(NamedTuple):
     #: Frame record, and message bytes of the cloud.
     record: dict[str, Any]
     cloud: bytes | None
+    #: Message bytes of the ensemble's cloud.
+    deviations: bytes | None
     #: Topics and wrenches [N, N m] of the grippers, then of the obstacles.
     topics: Sequence[str]
     wrenches: list[list[float]]
@@ -85,14 +90,19 @@ class RunRecording:
             rows, columns = scene.shape
             fields = self._fields.fields
             self._cloud = messages.CloudEncoder(frame_id=self._frame_id, height=rows, width=columns, **fields)
+        #: Encoder of an ensemble's clouds; built on first use.
+        self._deviations: messages.CloudEncoder | None = None
 
     @property
     def bytes_written(self) -> int:
         """Size of the file [bytes]."""
         return self._writer.bytes_written
 
-    def add(self, events: Sequence[Event], frame: Frame) -> None:
-        """Add the latest frame: commands, frame record, cloud and wrenches. Frames are written in groups."""
+    def add(self, events: Sequence[Event], frame: Frame, ensemble: EnsembleFrame | None = None) -> None:
+        """Add the latest frame: commands, frame record, clouds and wrenches. Frames are written in groups.
+
+        `ensemble`: that of the frame; its members start with the first frame.
+        """
         simulation = self._simulation
         if simulation.scene is not self._scene:
             self._set_scene(simulation.scene)
@@ -112,6 +122,8 @@ class RunRecording:
         extras = frame.extras()
         if advance and advance.flagged:
             extras["flagged"] = advance.flagged
+        if ensemble is not None and self._deviations is None:
+            extras["ensemble"] = "start"
         if extras:
             record["extras"] = extras
         cloud = None
@@ -119,10 +131,11 @@ class RunRecording:
             state, fields = simulation.state, self._fields
             normals = vertex_normals(state.x, self._triangles) if fields.normal else None
             cloud = self._cloud.encode(state.x, stamp, state.v if fields.velocity else None, normals)
+        deviations = None if ensemble is None else self._encode_ensemble(ensemble, stamp)
         wrenches = frame.wrenches.tolist()
         if len(frame.obstacle_wrenches):
             wrenches += frame.obstacle_wrenches[self._unlinked_indices].tolist()
-        self._pending.append(_PendingFrame(stamp, tuple(events), record, cloud, self._topics, wrenches))
+        self._pending.append(_PendingFrame(stamp, tuple(events), record, cloud, deviations, self._topics, wrenches))
         if len(self._pending) >= _FRAMES_PER_WRITE:
             self._write_pending()
 
@@ -138,6 +151,14 @@ class RunRecording:
         """Close the file in its current state."""
         self._writer.abandon()
 
+    def _encode_ensemble(self, frame: EnsembleFrame, stamp: int) -> bytes:
+        if self._deviations is None:
+            rows, columns = self._scene.shape
+            self._deviations = messages.CloudEncoder(
+                frame_id=self._frame_id, height=rows, width=columns, deviation=True
+            )
+        return self._deviations.encode(frame.mean.T, stamp, deviation=frame.deviation)
+
     def _set_scene(self, scene: Scene) -> None:
         """Set the scene of the following frames."""
         self._scene, self._period = scene, scene.period
@@ -150,13 +171,15 @@ class RunRecording:
     def _write_pending(self) -> None:
         """Write the pending frames."""
         pending, self._pending = self._pending, []
-        for stamp, events, record, cloud, topics, wrenches in pending:
+        for stamp, events, record, cloud, deviations, topics, wrenches in pending:
             self._stamp = stamp
             for event in events:
                 self._add_command(event)
             self._add(f"{NODE}/frame", messages.STRING, encode_string(frame_text(record)))
             if cloud is not None:
                 self._add(f"{NODE}/points", messages.CLOUD, cloud)
+            if cloud is not None and deviations is not None:
+                self._add(f"{NODE}/ensemble", messages.CLOUD, deviations)
             for topic, wrench in zip(topics, wrenches, strict=True):
                 data = messages.wrench_bytes(wrench, frame_id=self._frame_id, stamp=stamp)
                 self._add(topic, messages.WRENCH, data)

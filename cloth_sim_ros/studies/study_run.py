@@ -11,7 +11,7 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -20,13 +20,16 @@ from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target
 from cloth_sim_ros.simulation.script_events import ScriptEvents
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.studies.errors import FolderError, folder_error
 from cloth_sim_ros.studies.folder import StudyFolder, read_row
 from cloth_sim_ros.studies.outcomes import OutcomeError, OutcomeRecorder
 from cloth_sim_ros.studies.run_recording import RunRecording
 from cloth_sim_ros.studies.study import POLICY, Study
 from cloth_sim_ros.studies.user_code import USER_ERRORS, Observation, as_events, format_error, load_function
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.ensemble import Ensemble, EnsembleFrame
 
 #: Status of a run: successful; failed by its own fault; every worker that executed it was killed.
 OK, FAILED, KILLED = "ok", "failed", "killed"
@@ -140,9 +143,9 @@ def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path)
     try:
         try:
             for _ in range(commanded.n_frames):
-                events, frame = commanded.advance()
-                recording.add(events, frame)
-                outcome_recorder.add(frame)
+                events, frame, ensemble = commanded.advance()
+                recording.add(events, frame, ensemble)
+                outcome_recorder.add(frame, ensemble)
             row["outcomes"] = {**outcome_recorder.outcomes(), **_user_outcomes(study, outcome_recorder, factor_levels)}
         except RunError as error:
             row["status"], row["error"] = FAILED, f"frame {simulation.frame}: {error}"
@@ -158,6 +161,41 @@ def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path)
     return row, session
 
 
+def _start_ensemble(simulation: Simulation) -> Ensemble | None:
+    """Return the ensemble about a simulation, at its start; None if its scene names no distribution.
+
+    Raises:
+        ValueError: if the distribution does not fit the scene.
+    """
+    scene = simulation.scene
+    if not scene.ensemble.file:
+        return None
+    from cloth_sim_ros.simulation.ensemble import Ensemble
+
+    options = scene.ensemble
+    # Other runs have the other cores.
+    return Ensemble(
+        scene,
+        scene.distribution(),
+        state=simulation.state,
+        members=options.members,
+        seed=options.seed,
+        threads=1,
+    )
+
+
+def _advance_ensemble(ensemble: Ensemble, frame: Frame) -> EnsembleFrame:
+    """Advance an ensemble by the events of a frame.
+
+    Raises:
+        RunError: if a member cannot go on.
+    """
+    try:
+        return ensemble.advance(frame.events)
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
 def _user_outcomes(study: Study, outcome_recorder: OutcomeRecorder, factor_levels: dict[str, Any]) -> dict[str, Any]:
     functions = {source.reference: load_function(source, "outcome") for source in study.outcomes}
     return outcome_recorder.user_outcomes(functions, factor_levels) if functions else {}
@@ -170,6 +208,8 @@ class CommandedSimulation:
     simulation: Simulation
     #: Number of frames of the run.
     n_frames: int
+    #: Cloths of uncertain parameters beside it; None without a distribution.
+    ensemble: Ensemble | None
     _commands: Callable[[int], Sequence[Event]]
     _wrenches: Any = None
 
@@ -187,10 +227,11 @@ class CommandedSimulation:
         """
         try:
             simulation = Simulation(study.scene(factor_levels))
+            ensemble = _start_ensemble(simulation)
         except (ValueError, MemoryError) as error:
             raise RunError(str(error) or "not enough memory") from error
         period = simulation.scene.period
-        commanded = cls(simulation, max(1, round(study.duration / period)), lambda _frame: [])
+        commanded = cls(simulation, max(1, round(study.duration / period)), ensemble, lambda _frame: [])
         commanded._wrenches = np.zeros((len(simulation.grippers.names), 6))
         if study.policy is None:
             commanded._commands = ScriptEvents(study.moved_scripts(factor_levels), period).at
@@ -206,11 +247,12 @@ class CommandedSimulation:
         commanded._commands = functools.partial(commanded._query_policy, policy, reference, policy_values, rng)
         return commanded
 
-    def advance(self) -> tuple[Sequence[Event], Any]:
-        """Advance by one frame and return its events and the frame.
+    def advance(self) -> tuple[Sequence[Event], Frame, EnsembleFrame | None]:
+        """Advance by one frame and return its events, the frame, and that of the ensemble.
 
         Raises:
-            RunError: if the policy raises or returns invalid events, or the motion does not stay finite.
+            RunError: if the policy raises or returns invalid events, the motion does not stay finite, or a member of
+                the ensemble cannot go on.
         """
         simulation = self.simulation
         events = self._commands(simulation.frame)
@@ -221,7 +263,7 @@ class CommandedSimulation:
         except (TypeError, ValueError, ArithmeticError, MemoryError) as error:
             raise RunError(format_error(error)) from error
         self._wrenches = frame.wrenches
-        return events, frame
+        return events, frame, None if self.ensemble is None else _advance_ensemble(self.ensemble, frame)
 
     def _query_policy(
         self, policy: Any, reference: str, values: dict[str, Any], rng: Any, frame: int

@@ -17,6 +17,7 @@ from cloth_sim_ros.verify.verdict import Findings
 _TYPES = {
     "frame": messages.STRING,
     "points": messages.CLOUD,
+    "ensemble": messages.CLOUD,
     "topology": messages.MESH,
     "wrench": messages.WRENCH,
     "obstacles": markers.MARKERS,

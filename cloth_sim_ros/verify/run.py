@@ -30,6 +30,7 @@ from cloth_sim_ros.verify.completeness import CompletenessCheck
 from cloth_sim_ros.verify.declarations import compare_declarations
 from cloth_sim_ros.verify.diagnostics import TOPIC as DIAGNOSTICS
 from cloth_sim_ros.verify.diagnostics import DiagnosticsCheck
+from cloth_sim_ros.verify.ensemble import EnsembleCheck
 from cloth_sim_ros.verify.frame_outputs import FrameOutputCheck
 from cloth_sim_ros.verify.frame_records import compare_record
 from cloth_sim_ros.verify.verdict import Findings, FramePosition, Verdict
@@ -112,6 +113,8 @@ class _SessionRun:
         self._completeness.declare(self._frame_topic, "frame", droppable=False)
         self._completeness.declare(self._points, "cloud", droppable=True)
         self._completeness.declare(DIAGNOSTICS, "diagnostics message", droppable=False)
+        self._ensemble = EnsembleCheck(node, self._completeness, findings)
+        self._completeness.declare(self._ensemble.topic, "ensemble cloud", droppable=True)
         self._previous: Simulation | None = None
         self._commands: CommandCheck | None = None
         self._diagnostics: DiagnosticsCheck | None = None
@@ -122,6 +125,7 @@ class _SessionRun:
         self.simulation = simulation = _simulation(part)
         scene, from_start = simulation.scene, simulation.frame == 0
         self._check_snapshot()
+        self._ensemble.begin(continues=self._previous is not None and self._previous.frame == simulation.frame)
         for name in sorted(set(scene.files) - set(part.files)):
             self._verdict.environment.append(f"{name} as found here: the session does not hold it")
         opened = part.attachments[STATE_NAME].log_time
@@ -158,6 +162,8 @@ class _SessionRun:
             self._completeness.declare(topic, "command", droppable=False)
             self._completeness.add(message, is_from_node=True)
             self._commands.receive(message, self.simulation)
+        elif topic == self._ensemble.topic:
+            self._ensemble.compare(message)
         elif topic == DIAGNOSTICS:
             self._completeness.add(message, is_from_node=True)
             self._diagnostics.compare(message, self.simulation)
@@ -173,7 +179,8 @@ class _SessionRun:
             self._frame_outputs.finish()
         self._completeness.finish(whole=whole)
         assert self._commands is not None
-        compared = self._frame_outputs.topics | self._commands.topics | {self._frame_topic, DIAGNOSTICS}
+        compared = self._frame_outputs.topics | self._commands.topics
+        compared |= {self._frame_topic, DIAGNOSTICS, self._ensemble.topic}
         compare_declarations(self._part, self._node, compared, self._findings)
         self._previous = self.simulation
 
@@ -192,6 +199,7 @@ class _SessionRun:
         if needs_diagnostics and not self._completeness.is_seen(DIAGNOSTICS):
             self._findings.absent(DIAGNOSTICS)
         self._commands.end()
+        self._ensemble.end()
 
     def _skip(self, message: Message) -> None:
         topic, robot = message.topic, self.simulation.scene.robot
@@ -224,6 +232,7 @@ class _SessionRun:
         self._findings.position = FramePosition(verdict.frames, record.frame, record.time)
         start_time, scene, before = simulation.time, simulation.scene, simulation.state.shallow_copy()
         verdict.frames += 1
+        self._ensemble.before_frame(simulation, record)
         try:
             events: list[Event] = [from_dict(dict(event)) for event in record.events]
             self._frame = frame = simulation.advance(events)
@@ -240,6 +249,7 @@ class _SessionRun:
         assert self._diagnostics is not None
         self._commands.compare(record, message.log_time, stamp, simulation)
         self._diagnostics.observe_frame(frame, simulation)
+        self._ensemble.observe_frame(frame, stamp)
         self._frame_outputs.open_frame(frame, stamp)
         return True
 

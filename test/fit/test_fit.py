@@ -21,10 +21,12 @@ from support.session_maker import cloud_bytes
 
 from cloth_sim_ros.fit import main as fit_main
 from cloth_sim_ros.fit.bag import read_bag
+from cloth_sim_ros.fit.files import write_json
 from cloth_sim_ros.fit.fit import Fit, fit
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recording import read_session
 from cloth_sim_ros.fit.text import describe
+from cloth_sim_ros.scene.distribution import Distribution
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session import old_keys
@@ -52,6 +54,17 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def scene_of(**values: float) -> Scene:
     return cloth({**START, "rate": 60.0, **values}, resolution=6)
+
+
+def test_json_is_a_distribution_for_an_ensemble(fitted: Fit, tmp_path: Path) -> None:
+    bounds = [estimate.bound for estimate in fitted.estimates]
+    assert np.sqrt(np.diag(fitted.covariance)) == pytest.approx(bounds, rel=1e-6)
+    write_json(fitted, tmp_path / "fit.json")
+    distribution = Distribution.from_file(tmp_path / "fit.json")
+    assert distribution.names == tuple(NAMES)
+    assert distribution.values == tuple(fitted.values.values())
+    assert np.array(distribution.covariance) == pytest.approx(fitted.covariance, rel=1e-6)
+    distribution.check_members(fitted.recording.scene)
 
 
 def test_noisy_swing_estimates_lie_within_bounds(fitted: Fit) -> None:

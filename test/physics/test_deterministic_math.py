@@ -12,7 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products, integer_sum, ordered_sum, power, root
+from cloth_sim_ros.physics.arithmetic.deterministic_math import (
+    dot_products,
+    exponential,
+    integer_sum,
+    logarithm,
+    ordered_sum,
+    power,
+    root,
+)
 
 PACKAGE = Path(__file__).resolve().parents[2] / "cloth_sim_ros"
 
@@ -114,3 +122,13 @@ def test_no_library_arithmetic_reaches_the_bits(path: Path) -> None:
             used.add(("@" if isinstance(node.op, ast.MatMult) else "**", node.lineno))
     name = str(path.relative_to(PACKAGE))
     assert not {(function_name, line) for function_name, line in used if (name, function_name) not in HARMLESS}
+
+
+@pytest.mark.parametrize("value", [-700.0, -20.3, -1.0, -0.3, 0.0, 1e-9, 0.5, 2.0, 33.3, 700.0])
+def test_exponentials_are_right_to_some_roundings(value: float) -> None:
+    assert exponential(value) == pytest.approx(math.exp(value), rel=2e-16 * (4.0 + 8.0 * abs(value)))
+
+
+@pytest.mark.parametrize("value", [5e-324, 1e-300, 0.3, 0.7, 1.0 - 1e-9, 1.0, 1.3, 1.4, 2.0, 7.25, 1e5, 1.7e308])
+def test_logarithms_are_right_to_a_few_roundings(value: float) -> None:
+    assert logarithm(value) == pytest.approx(math.log(value), rel=4e-16, abs=0.0)

@@ -179,7 +179,7 @@ def test_each_packaged_scene_is_a_launch_argument(monkeypatch: pytest.MonkeyPatc
         parameters = read(path)
         assert [(name, text_of(value, {})) for name, value in further] == [
             (name, str(path.parent / parameters[name]))
-            for name in ("cloth.mesh", "cloth.springs", "robot.description_file")
+            for name in ("cloth.mesh", "cloth.springs", "robot.description_file", "ensemble.file")
             if name in parameters
         ]
 

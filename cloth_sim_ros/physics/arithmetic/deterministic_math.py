@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Deterministic powers, roots and sums.
+"""Deterministic powers, roots, sums, exponentials and logarithms.
 
 They use basic arithmetic alone: a library's pow differs between machines, and Python's sum between versions.
 """
@@ -13,6 +13,8 @@ from functools import reduce
 from operator import add
 
 import numpy as np
+
+_LOGARITHM_OF_TWO = 0.6931471805599453
 
 
 def power(base: float, exponent: int) -> float:
@@ -72,3 +74,36 @@ def root(value: float, degree: int) -> float:
         if not next_guess < guess:
             return math.ldexp(guess, quotient)
         guess = next_guess
+
+
+def exponential(value: float) -> float:
+    """Return e to a power of at most 700, accurate to a few hundred roundings.
+
+    Taylor's series of a small fraction of the power, squared as often as it was halved.
+    """
+    halvings = 0
+    while abs(value) > 0.5:
+        value, halvings = 0.5 * value, halvings + 1
+    total = term = 1.0
+    for k in range(1, 18):
+        term *= value / k
+        total += term
+    for _ in range(halvings):
+        total *= total
+    return total
+
+
+def logarithm(value: float) -> float:
+    """Return the natural logarithm of a positive number, accurate to a few roundings.
+
+    The series 2 artanh(y) with y = (m - 1) / (m + 1), for a mantissa m from 2/3 to 4/3.
+    """
+    mantissa, exponent = math.frexp(value)
+    if 3.0 * mantissa < 2.0:
+        mantissa, exponent = 2.0 * mantissa, exponent - 1
+    y = (mantissa - 1.0) / (mantissa + 1.0)
+    total, term = 0.0, y
+    for k in range(1, 24, 2):
+        total += term / k
+        term *= y * y
+    return 2.0 * total + exponent * _LOGARITHM_OF_TWO

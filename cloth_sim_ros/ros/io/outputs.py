@@ -7,7 +7,7 @@ Messages are built only for subscribers or a recording, and serialized once for 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -31,6 +31,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.ros.camera.cameras import Cameras
+    from cloth_sim_ros.ros.ensemble.ensemble_topic import EnsembleTopic
     from cloth_sim_ros.ros.io.ground_truth import CoverageTopic, KeypointTopic
     from cloth_sim_ros.ros.io.sensor_wrenches import SensorWrenches
 
@@ -137,15 +138,32 @@ class Outputs:
             from cloth_sim_ros.ros.camera.cameras import Cameras
 
             self.cameras = Cameras(node, simulation, log)
+        #: None without a distribution of uncertain parameters.
+        self.ensemble: EnsembleTopic | None = None
+        if simulation.scene.ensemble.file:
+            from cloth_sim_ros.ros.ensemble.ensemble_topic import EnsembleTopic
+
+            self.ensemble = EnsembleTopic(node, simulation, sink, log)
         #: Steady time of the last frame that was due [s]; None before the first.
         self._last_published: float | None = None
 
     def start(self, stamp: int) -> None:
-        """Publish topology and obstacles at a ROS time [ns], subscribe to obstacles' targets, and start cameras."""
+        """Publish topology and obstacles at a ROS time [ns], subscribe to obstacles' targets, and start processes."""
         self.cloth.start(stamp)
         self.obstacles.update_topics(stamp)
         if self.cameras is not None:
             self.cameras.start()
+        if self.ensemble is not None:
+            self.ensemble.start()
+
+    def before_frame(self) -> None:
+        """Keep what a frame changes and its messages need."""
+        if self.ensemble is not None:
+            self.ensemble.before_frame()
+
+    def labels(self, frame: Frame) -> dict[str, Any]:
+        """Return further entries of a frame's record."""
+        return {} if self.ensemble is None else self.ensemble.labels(frame)
 
     def must_publish(self, frame: Frame, now: float) -> bool:
         """Return true if a frame is to be published at a steady time [s]: if it differs, or once a second."""
@@ -170,16 +188,25 @@ class Outputs:
             topic.send(stamp)
         if self.cameras is not None:
             self.cameras.send(frame, stamp)
+        if self.ensemble is not None:
+            self.ensemble.add(frame, stamp)
 
-    def report_cameras(self) -> None:
-        """Log what the cameras' process reported."""
-        if self.cameras is not None:
-            self.cameras.report()
+    def send_late(self, stamp: int) -> None:
+        """Publish and record results of earlier frames that have come by a ROS time [ns]."""
+        if self.ensemble is not None:
+            self.ensemble.send(stamp)
 
-    def close_cameras(self) -> None:
-        """End the cameras' process."""
-        if self.cameras is not None:
-            self.cameras.close()
+    def report_processes(self) -> None:
+        """Log what the processes of cameras and ensemble reported."""
+        for part in (self.cameras, self.ensemble):
+            if part is not None:
+                part.report()
+
+    def close_processes(self) -> None:
+        """End the processes of cameras and ensemble."""
+        for part in (self.cameras, self.ensemble):
+            if part is not None:
+                part.close()
 
     def record_latched(self, stamp: int) -> None:
         """Record the latched messages at the start of a recording, at a ROS time [ns]."""

@@ -65,6 +65,7 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
     out += ["~/frame", "~/snapshot"] if scene.record.topics else []
     out += ["~/keypoints"] if any(scene.keypoints) else []
     out += ["~/coverage"] if scene.coverage.obstacle else []
+    out += ["~/ensemble"] if scene.ensemble.file else []
     out += [f"~/{name}/{leaf}" for name in scene.camera_names for leaf in CAMERA_LEAVES]
     into = [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("target", "point", "grasp")]
     into += [f"~/{name}/twist" for name in scene.gripper_names if scene.gripper.twist_max_speed]

@@ -57,8 +57,8 @@ class Reporting:
         self._gripper_speed = GripperSpeedMonitor(simulation, log)
         #: Integrator, reason and step limit of the last frame that was logged at DEBUG.
         self._choice: tuple[str, str, str] | None = None
-        cameras = () if outputs.cameras is None else (outputs.cameras,)
-        sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles, *cameras)
+        optional = tuple(part for part in (outputs.cameras, outputs.ensemble) if part is not None)
+        sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles, *optional)
         self.collector = DiagnosticsCollector(
             node, simulation, failure, timing, inputs.commands, outputs.cloth, recording, sources
         )
@@ -100,9 +100,9 @@ class Reporting:
             self._failure.attempt("diagnostics are not published", self.diagnostics.send)
 
     def report_changes(self) -> None:
-        """Start or end the accuracy monitor by its parameter; log reports of cameras, and the speed after a change."""
+        """Start or end the accuracy monitor by its parameter; log reports of processes, and speed after a change."""
         self.accuracy.update()
-        self._outputs.report_cameras()
+        self._outputs.report_processes()
         if self._parameters_changed:
             self._parameters_changed = False
             self.performance.report()

@@ -12,6 +12,8 @@ from cloth_sim_ros.scene.thread_directions import axial_stiffness, bending_modul
 
 #: Names, condition under which they have no effect, and the reason as the end of a sentence.
 _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
+    (("ensemble.members", "ensemble.seed"), lambda scene: not scene.ensemble.file, "ensemble.file is not set"),
+    (("ensemble.seed",), lambda scene: not scene.ensemble.members, "ensemble.members is 0, which takes no sample"),
     (("cloth.merge", "cloth.scale"), lambda scene: not scene.cloth.mesh, "cloth.mesh is not set"),
     (
         ("cloth.size", "cloth.resolution", "cloth.shear_layout"),

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from cloth_sim_ros.learning.thread_pool import ThreadPool
 from cloth_sim_ros.physics.plan import thread_limit
+from cloth_sim_ros.simulation.thread_pool import ThreadPool
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
