@@ -24,6 +24,7 @@ COMMANDS = {
         "validation.stability.coupling",
         "delays of forces with which a wrist in another simulator stays stable",
     ),
+    "reality": ("validation.reality.command", "fits to a synthetic copy of recorded swings of a real cloth"),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
 }
 
