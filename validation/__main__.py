@@ -28,6 +28,7 @@ COMMANDS = {
         "validation.ensemble.coverage",
         "share of cloths with random parameters within two deviations of an ensemble's mean",
     ),
+    "reality": ("validation.reality.command", "fits to a synthetic copy of recorded swings of a real cloth"),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
     "fabric-moduli": ("validation.moduli.fabric", "strips cut at angles to the warp against laminate theory"),
 }

@@ -13,6 +13,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.fit.fit import Fit, fitted_positions
+from cloth_sim_ros.fit.motions import MotionFit
 from cloth_sim_ros.fit.parameters import scene_with
 from cloth_sim_ros.fit.recording import visible
 from cloth_sim_ros.fit.text import verdict
@@ -72,10 +73,10 @@ def write_json(fit: Fit, path: Path) -> None:
     }
     content = old_keys.add_old_keys(content, old_keys.FIT)
     with atomic_write(path) as output:
-        output.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        output.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def write_parameters(fit: Fit, path: Path) -> list[str]:
+def write_parameters(fit: Fit | MotionFit, path: Path) -> list[str]:
     """Write the scene with the identified parameters as a ROS parameter file.
 
     Other parameters keep the scene's values.
@@ -85,7 +86,7 @@ def write_parameters(fit: Fit, path: Path) -> list[str]:
     """
     identified = [estimate for estimate in fit.estimates if estimate.is_identified]
     values = [float(f"{estimate.value:.6g}") for estimate in identified]
-    scene = scene_with(fit.recording.scene, [estimate.parameter for estimate in identified], values)
+    scene = scene_with(fit.scene, [estimate.parameter for estimate in identified], values)
     lines = [f"# The scene of {fit.name} with the parameters that cloth_fit identified:"]
     for estimate in fit.estimates:
         low, high = estimate.interval
@@ -138,9 +139,10 @@ def write_plot(fit: Fit, path: Path) -> None:
         figure.savefig(output, dpi=120, format="png")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value with numbers that are not finite as None."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -18,6 +18,7 @@ from cloth_sim_ros.fit.recording import FitRecording, check_recording, residual_
 from cloth_sim_ros.fit.runs import FitRun, FitRunPool, mean_offset, residuals, simulate, simulate_with_misses
 from cloth_sim_ros.fit.solver import FitProblem, fisher_information, standard_deviations
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION, WindowedFit, solve_windows
+from cloth_sim_ros.scene.scene import Scene
 
 #: Half width of the 95 % interval of a normal distribution [standard deviations].
 NORMAL_95 = 1.959963984540054
@@ -41,11 +42,28 @@ class Estimate:
     is_at_limit: bool = False
     #: True if the model explains the recording, as the bound assumes; see `Fit.doubt`.
     is_explained: bool = True
+    #: Degrees of freedom of Student's distribution of the interval; None for the normal distribution.
+    freedom: int | None = None
+    #: False if too few motions allow no interval.
+    has_interval: bool = True
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval (lower, upper) of the log-normal estimate, in the parameter's unit."""
-        reach = min(NORMAL_95 * self.bound, 700.0)
+        return self.interval_at(0.95)
+
+    def interval_at(self, level: float) -> tuple[float, float]:
+        """Return the interval (lower, upper) that contains the true value with a probability `level`."""
+        quantile = NORMAL_95
+        if self.freedom is not None:
+            from scipy.stats import t
+
+            quantile = float(t.ppf(0.5 + 0.5 * level, self.freedom))
+        elif level != 0.95:
+            from scipy.stats import norm
+
+            quantile = float(norm.ppf(0.5 + 0.5 * level))
+        reach = min(quantile * self.bound, 700.0)
         return self.value * math.exp(-reach), self.value * math.exp(min(reach, 600.0))
 
 
@@ -93,6 +111,11 @@ class Fit:
     seconds: NDArray[np.float64]
     rms_before: NDArray[np.float64]
     rms_after: NDArray[np.float64]
+
+    @property
+    def scene(self) -> Scene:
+        """Scene of the recording."""
+        return self.recording.scene
 
     @property
     def values(self) -> dict[str, float]:

@@ -111,7 +111,7 @@ def find_grasped(
     distances = np.linalg.norm(positions[candidates], axis=1)
     order = np.argsort(distances, kind="stable")
     first = known[0] if known else candidates[int(order[0])]
-    grasped = tuple(known) or _particles_within(rest_shape, first, radius)
+    grasped = tuple(known) or particles_within(rest_shape, first, radius)
     free_particles = [candidates[k] for k in order if candidates[k] not in grasped]
     neighbour = free_particles[0] if free_particles else None
     result = GraspedParticles(
@@ -144,7 +144,7 @@ def find_grasped_at_rest(
     start, rest_shape, radius = scene.initial_positions(), scene.sheet.positions(), scene.gripper.radius
     distances = np.linalg.norm(start - np.asarray(position), axis=1)
     first = known[0] if known else int(np.argmin(distances))
-    grasped = tuple(known) or _particles_within(rest_shape, first, radius)
+    grasped = tuple(known) or particles_within(rest_shape, first, radius)
     free_particles = [int(k) for k in np.argsort(distances, kind="stable") if k not in grasped]
     neighbour = free_particles[0] if free_particles else None
     result = GraspedParticles(
@@ -265,7 +265,18 @@ def _extrapolate_position(rest_shape: Array, local_positions: _LocalPositions, p
     return coefficients[0], float(np.sqrt((np.square(inverse[0]) * variance).sum()))
 
 
-def _particles_within(rest_shape: Array, first: int, radius: float) -> tuple[int, ...]:
+def extrapolate_cloud(rest_shape: Array, cloud: Array) -> Array:
+    """Return the positions of all particles of a cloud [m]; hidden ones are extrapolated from their neighbours."""
+    seen = np.isfinite(cloud).all(axis=1)
+    local_positions = _LocalPositions(mean=cloud, n_seen=np.asarray(seen, dtype=np.int64), noise=0.0)
+    positions = cloud.copy()
+    for particle in np.flatnonzero(~seen).tolist():
+        positions[particle] = _extrapolate_position(rest_shape, local_positions, particle)[0]
+    return positions
+
+
+def particles_within(rest_shape: Array, first: int, radius: float) -> tuple[int, ...]:
+    """Return a particle and those within a radius of it in the rest shape [m], the nearest first."""
     distances = np.linalg.norm(rest_shape - rest_shape[first], axis=1)
     order = np.argsort(distances, kind="stable")
     return tuple(int(k) for k in order if distances[k] <= radius)

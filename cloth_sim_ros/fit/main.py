@@ -9,13 +9,17 @@ import importlib.util
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cloth_sim_ros.session.console import escape_unencodable
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cloth_sim_ros.fit.fit import Fit
+    from cloth_sim_ros.fit.motions import MotionFit
     from cloth_sim_ros.fit.recording import FitRecording
+    from cloth_sim_ros.scene.scene import Scene
 
 #: Exit status: every parameter is identified.
 IDENTIFIED = 0
@@ -63,7 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="cloth_fit", description=_DESCRIPTION)
-    files = "session.mcap, or the files of one in order; or an MCAP of a real cloth"
+    files = (
+        "session.mcap, with the files of one session in order; or MCAPs of a real cloth, a motion each. Several "
+        "sessions or motions are fitted at once"
+    )
     parser.add_argument("session", nargs="+", type=Path, help=files)
     names = (
         "stretch, shear, bending, damping, viscosity, density, drag, normal_drag, tangential_drag, added_mass, "
@@ -80,12 +87,34 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--until", type=float, metavar="S", help="use clouds up to this time from the beginning [s]")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th cloud")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
+    _add_motion_options(parser)
     _add_bag_options(parser)
     output = parser.add_argument_group("output files besides the table")
     output.add_argument("--write", type=Path, metavar="OUT.yaml", help="scene with the identified parameters")
     output.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
     output.add_argument("--plot", type=Path, metavar="OUT.png", help="residuals over time; needs matplotlib")
     return parser
+
+
+def _add_motion_options(parser: argparse.ArgumentParser) -> None:
+    motions = parser.add_argument_group("a real cloth, or several recordings at once")
+    kinds = ("no", "shared", "each")
+    settings: dict[str, Any] = {"nargs": "?", "const": "shared", "choices": kinds, "metavar": "KIND"}
+    offset = (
+        "offset between the clocks of clouds and gripper poses: no, shared by all recordings, or for each (default: "
+        "shared for a real cloth, no for sessions)"
+    )
+    motions.add_argument("--fit-time-offset", **settings, help=offset)
+    pose = (
+        "error of the camera's pose, a small rotation and a shift: no (a shift alone), shared or each (default: same)"
+    )
+    motions.add_argument("--fit-camera-pose", **settings, help=pose)
+    loss = "loss of a point: square, huber (default) or cauchy; its scale is 2.5 standard deviations"
+    motions.add_argument("--loss", choices=("square", "huber", "cauchy"), help=loss)
+    held_out = "fit nothing on N of the recordings, spread over the list, and report the errors on them (default 0)"
+    motions.add_argument("--held-out", type=int, metavar="N", help=held_out)
+    parts = "the MCAPs of a real cloth are parts of one recording"
+    motions.add_argument("--parts", action="store_true", help=parts)
 
 
 def _add_bag_options(parser: argparse.ArgumentParser) -> None:
@@ -106,10 +135,9 @@ def _add_bag_options(parser: argparse.ArgumentParser) -> None:
     real.add_argument("--unordered", action="store_true", help=unordered)
 
 
-def _fit(options: argparse.Namespace) -> Fit:
+def _fit(options: argparse.Namespace) -> Fit | MotionFit:
     from tqdm import tqdm
 
-    from cloth_sim_ros.fit.fit import fit
     from cloth_sim_ros.fit.parameters import FitError
 
     if options.every < 1:
@@ -118,46 +146,104 @@ def _fit(options: argparse.Namespace) -> Fit:
         raise FitError(f"--until is {options.until:g} s; it must be above 0")
     names = [name.strip() for name in options.parameters.split(",") if name.strip()]
     start = {name: _parse_number(value, f"--start {name}") for name, value in _pairs(options.start, "--start").items()}
-    recording = _recording(options).part(until=options.until, every=options.every)
-    sigma, within, workers = options.sigma, options.within, options.workers
+    prepared = _prepare_fit(options, names, start)
     with tqdm(unit=" simulations", desc="fit", delay=1.0, disable=None, leave=False) as bar:
-        progress = bar.update
-        return fit(recording, names, start=start, sigma=sigma, within=within, workers=workers, on_progress=progress)
+        return prepared(bar.update)
 
 
-def _recording(options: argparse.Namespace) -> FitRecording:
-    from cloth_sim_ros.fit.bag import is_session, read_bag
+def _prepare_fit(
+    options: argparse.Namespace, names: Sequence[str], start: dict[str, float]
+) -> Callable[[Callable[[int], Any]], Fit | MotionFit]:
+    """Read the recordings and return their fit, which takes a callback for its progress."""
+    from cloth_sim_ros.fit.bag import is_session
     from cloth_sim_ros.fit.parameters import FitError
-    from cloth_sim_ros.fit.recording import read_session
     from cloth_sim_ros.scene.scene import Scene
-    from cloth_sim_ros.session.opening import open_file
 
     scene = None if options.scene is None else Scene.from_file(options.scene)
-    poses, grasped = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
-    if is_session(options.session[0]):
-        bag_options = {"--topic": options.topic, "--pose": poses, "--held": grasped}
-        session_options = [name for name, value in bag_options.items() if value]
-        session_options += ["--from"] if options.begin is not None else []
-        session_options += ["--settle"] if options.settle is not None else []
-        if session_options:
-            raise FitError(f"{session_options[0]} is for an MCAP that cloth_sim did not record; omit it for a session")
-        return read_session(options.session, scene=scene, matched=not options.unordered)
+    common: dict[str, Any] = {"start": start, "within": options.within, "workers": options.workers}
+    motion_options = {
+        "time_offset": options.fit_time_offset,
+        "camera_pose": options.fit_camera_pose,
+        "loss": options.loss,
+        "held_out": options.held_out,
+    }
+    chosen = {name: value for name, value in motion_options.items() if value is not None}
+    if not is_session(options.session[0]):
+        if options.sigma is not None:
+            raise FitError("--sigma is for one session; a fit to a real cloth finds the noise from the residuals")
+        return _prepare_real(options, scene, names, {**common, **chosen})
+    sessions = [
+        recording.part(until=options.until, every=options.every) for recording in _read_sessions(options, scene)
+    ]
+    if len(sessions) == 1 and not chosen:
+        from cloth_sim_ros.fit.fit import fit
+
+        return lambda progress: fit(sessions[0], names, **common, sigma=options.sigma, on_progress=progress)
+    if options.sigma is not None:
+        raise FitError("--sigma is for one session; a fit to several finds the noise from the residuals")
+    from cloth_sim_ros.fit.motions import fit_motions
+
+    kinds = {"time_offset": "no", "camera_pose": "no", **chosen}
+    return lambda progress: fit_motions(sessions, names, **common, **kinds, on_progress=progress)
+
+
+def _prepare_real(
+    options: argparse.Namespace, scene: Scene | None, names: Sequence[str], settings: dict[str, Any]
+) -> Callable[[Callable[[int], Any]], MotionFit]:
+    """Read MCAPs of a real cloth and return their fit."""
+    from cloth_sim_ros.fit.bag import read_recording
+    from cloth_sim_ros.fit.parameters import FitError
+    from cloth_sim_ros.fit.real import fit_real
+    from cloth_sim_ros.session.opening import open_file
+
     if scene is None:
         cause = "was not recorded by cloth_sim and holds no scene"
         raise FitError(f"{options.session[0]} {cause}; describe the cloth by --scene")
     for path in options.session[1:]:
         # `is_session` has checked the first file. Opening a pipe would wait for its writer.
         open_file(path).close()
-    return read_bag(
-        options.session,
-        scene,
-        topic=options.topic,
-        poses=poses,
-        grasped=grasped,
-        first_time=options.begin or 0.0,
-        settle_time=4.0 if options.settle is None else options.settle,
-        matched=not options.unordered,
-    )
+    poses, grasped = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
+    groups = [options.session] if options.parts else [[path] for path in options.session]
+    recordings = []
+    for group in groups:
+        recording = read_recording(group, scene, topic=options.topic, poses=poses, matched=not options.unordered)
+        recordings.append(recording.since(options.begin or 0.0).part(until=options.until, every=options.every))
+    if options.settle is not None:
+        settings["settle_time"] = options.settle
+    return lambda progress: fit_real(recordings, scene, names, **settings, grasped=grasped, on_progress=progress)
+
+
+def _read_sessions(options: argparse.Namespace, scene: Scene | None) -> list[FitRecording]:
+    """Read sessions of this package; consecutive files of one session are its parts."""
+    import itertools
+
+    from cloth_sim_ros.fit.parameters import FitError
+    from cloth_sim_ros.fit.recording import read_session
+    from cloth_sim_ros.session.part import SessionPart
+
+    bag_options = {
+        "--topic": options.topic is not None,
+        "--pose": bool(options.pose),
+        "--held": bool(options.held),
+        "--from": options.begin is not None,
+        "--settle": options.settle is not None,
+        "--parts": options.parts,
+    }
+    for option, is_set in bag_options.items():
+        if is_set:
+            raise FitError(f"{option} is for an MCAP that cloth_sim did not record; omit it for a session")
+
+    def session_of(path: Path) -> str:
+        part = SessionPart(path)
+        try:
+            return part.session
+        finally:
+            part.close()
+
+    groups = [options.session]
+    if len(options.session) > 1:
+        groups = [list(paths) for _, paths in itertools.groupby(options.session, key=session_of)]
+    return [read_session(paths, scene=scene, matched=not options.unordered) for paths in groups]
 
 
 def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
@@ -181,18 +267,20 @@ def _parse_number(text: str, option: str) -> float:
         raise FitError(f"{option} is '{text}'; it must be a number") from None
 
 
-def _report(fit: Fit, options: argparse.Namespace) -> None:
-    from cloth_sim_ros.fit.files import write_json, write_parameters, write_plot
+def _report(fit: Fit | MotionFit, options: argparse.Namespace) -> None:
+    from cloth_sim_ros.fit import files, motions_files
+    from cloth_sim_ros.fit.fit import Fit
+    from cloth_sim_ros.fit.motions_text import describe_motions
     from cloth_sim_ros.fit.text import describe
 
-    print(describe(fit), flush=True)
+    print(describe(fit) if isinstance(fit, Fit) else describe_motions(fit), flush=True)
     if options.json is not None:
-        write_json(fit, options.json)
+        files.write_json(fit, options.json) if isinstance(fit, Fit) else motions_files.write_json(fit, options.json)
     if options.write is not None:
-        identified = write_parameters(fit, options.write)
+        identified = files.write_parameters(fit, options.write)
         print(f"\n{options.write}: the scene with {', '.join(identified) or 'nothing new'}")
     if options.plot is not None:
-        write_plot(fit, options.plot)
+        files.write_plot(fit, options.plot) if isinstance(fit, Fit) else motions_files.write_plot(fit, options.plot)
 
 
 if __name__ == "__main__":

@@ -142,8 +142,13 @@ def prepare_state(state: State) -> State:
     return copy
 
 
-def check_recording(recording: FitRecording, parameter_names: Sequence[str]) -> None:
+def check_recording(recording: FitRecording, parameter_names: Sequence[str], *, min_clouds: int = MIN_CLOUDS) -> None:
     """Refuse a recording that can't be compared with the scene's cloth.
+
+    Args:
+        recording: clouds and scene.
+        parameter_names: full names of the fitted parameters.
+        min_clouds: least number of clouds with points.
 
     Raises:
         FitError: if the recording is unusable; the text names cause and remedy.
@@ -163,9 +168,9 @@ def check_recording(recording: FitRecording, parameter_names: Sequence[str]) -> 
                     "field 'index'; for points without index give --unordered"
                 )
     has_points = [bool(np.isfinite(cloud).all(axis=1).any()) for cloud in clouds]
-    if sum(has_points) < MIN_CLOUDS:
+    if sum(has_points) < min_clouds:
         cause = f"{sum(has_points)} of {len(clouds)} clouds hold a point with finite coordinates"
-        raise FitError(f"{cause}; a fit needs {MIN_CLOUDS} or more")
+        raise FitError(f"{cause}; a fit needs {min_clouds} or more")
     n_coordinates = sum(cloud.size for cloud in clouds)
     needed = 8 * n_coordinates * (4 * len(parameter_names) + 4)
     if needed > MAX_BYTES:

@@ -74,7 +74,7 @@ def simulate_with_misses(recording: FitRecording, parameters: Sequence[FitParame
     for k, frame_time in enumerate(frames):
         while n_frames < frame_time:
             x0, v0 = simulation.state.x, simulation.state.v
-            drag_events = _drag_events(scene, n_frames, recording.n_settle_frames)
+            drag_events = settling_drag_events(scene, n_frames, recording.n_settle_frames)
             advance = simulation.advance([*recording.events[n_frames], *drag_events]).advance
             n_missed += advance is not None and advance.flagged > 0
             n_frames += 1
@@ -168,14 +168,14 @@ class FitRunPool:
             raise FitError("a worker process was killed, possibly out of memory; use --workers 1") from error
 
 
-def _drag_events(scene: Scene, frame: int, n_settle_frames: int) -> list[SetParameters]:
+def settling_drag_events(scene: Scene, frame: int, n_settle_frames: int) -> list[SetParameters]:
     """Return the events that set the settling drag in frame 0, and the scene's drag after settling."""
     if not n_settle_frames or frame not in (0, n_settle_frames):
         return []
     return [SetParameters({"air.drag": scene.air.drag if frame else max(SETTLING_DRAG, scene.air.drag)})]
 
 
-def interpolate(x0: Array, v0: Array, x1: Array, v1: Array, s: float, period: float) -> Array:
+def interpolate(x0: Array, v0: Array, x1: Array, v1: Array, s: float | Array, period: float) -> Array:
     """Return the cubic Hermite interpolation of positions [m] and velocities [m/s] at a fraction s of a frame."""
     a, b = s * s * (3.0 - 2.0 * s), s * (1.0 - s)
     return np.asarray(x0 + a * (x1 - x0) + period * b * ((1.0 - s) * v0 - s * v1))

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from cloth_sim_ros.fit.fit import MIN_CORRELATION, Estimate, Fit
 from cloth_sim_ros.fit.grasped import describe_grasped
@@ -15,7 +15,7 @@ from cloth_sim_ros.session.plurals import pluralize
 
 def describe(fit: Fit) -> str:
     """Return the text report of a fit, which starts with a table."""
-    return "\n".join([*_head(fit), "", *_table(fit), *_explanations(fit)])
+    return "\n".join([*_head(fit), "", *estimate_table(fit.estimates, fit.within), *_explanations(fit)])
 
 
 def _head(fit: Fit) -> Iterator[str]:
@@ -39,18 +39,21 @@ def _head(fit: Fit) -> Iterator[str]:
         yield f"The clouds have a common offset of ({x:.2g}, {y:.2g}, {z:.2g}) mm, which was fitted too."
 
 
-def _table(fit: Fit) -> Iterator[str]:
+def estimate_table(estimates: Sequence[Estimate], within: float) -> Iterator[str]:
+    """Yield the lines of a table of estimates; `within` is the largest bound of an identified parameter."""
     rows = [("parameter", "value", "95 % interval", "unit", "bound", "")]
-    for estimate in fit.estimates:
+    for estimate in estimates:
         low, high = estimate.interval
+        has_interval = estimate.has_interval and math.isfinite(estimate.bound)
+        unknown = "any" if estimate.has_interval else "none"
         rows.append(
             (
                 estimate.parameter.name,
                 f"{estimate.value:.4g}",
-                f"{_format_number(low)} to {_format_number(high)}" if math.isfinite(estimate.bound) else "any",
+                f"{_format_number(low)} to {_format_number(high)}" if has_interval else unknown,
                 estimate.parameter.unit or "1",
-                _format_percent(estimate.bound),
-                verdict(estimate, fit.within),
+                _format_percent(estimate.bound) if estimate.has_interval else "none",
+                verdict(estimate, within),
             )
         )
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
@@ -68,6 +71,8 @@ def verdict(estimate: Estimate, within: float) -> str:
         return "NOT IDENTIFIED: at the limit of the search range"
     if not estimate.is_explained:
         return "NOT IDENTIFIED: the simulated cloth does not follow the recording"
+    if not estimate.has_interval:
+        return "NOT IDENTIFIED: too few motions for an interval"
     return "identified" if estimate.is_identified else f"NOT IDENTIFIED: bound above {100 * within:.3g} %"
 
 

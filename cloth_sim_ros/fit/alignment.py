@@ -1,0 +1,273 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Time offset and camera pose of recorded clouds: unknowns beside the parameters of the cloth.
+
+A cloud with the stamp t shows the cloth at t - offset. A camera with a pose error shows the point x at
+`R (x - pivot) + pivot + shift`. R is the rotation by a rotation vector.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.trajectory import SimulatedMotion
+from cloth_sim_ros.physics.model.forces.force import Array
+
+#: Kinds of an unknown: fixed, one for all recordings, or one for each recording.
+FIXED, SHARED, PER_RECORDING = "no", "shared", "each"
+#: Largest time offset between clouds and gripper poses [s].
+MAX_OFFSET = 0.6
+#: Spacing of the time offsets that the search examines first [s].
+_OFFSET_STEP = 0.04
+#: Standard deviations of the prior: time offset [s], rotation [rad] and shift [m] of the camera.
+PRIOR_SIGMAS = (0.3, *(0.2,) * 3, *(0.3,) * 3)
+#: Difference steps of the same unknowns.
+_STEPS = (2e-3, *(1e-4,) * 3, *(1e-4,) * 3)
+
+
+@attrs.frozen(kw_only=True)
+class Alignment:
+    """Time offset and camera pose of one recording."""
+
+    #: Delay of the clouds against the gripper poses [s].
+    offset: float = 0.0
+    #: Rotation vector of the camera's error [rad].
+    rotation: tuple[float, ...] = (0.0, 0.0, 0.0)
+    #: Shift of the clouds at the pivot [m].
+    shift: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+    @property
+    def angle(self) -> float:
+        """Angle of the camera's rotation [rad]."""
+        return math.sqrt(sum(component * component for component in self.rotation))
+
+    def to_camera(self, x: Array, pivot: Array) -> Array:
+        """Return points as the camera shows them [m], shape (..., 3)."""
+        return (x - pivot) @ rotation_of(self.rotation).T + pivot + np.array(self.shift)
+
+    def from_camera(self, x: Array, pivot: Array) -> Array:
+        """Return the places of shown points [m], shape (..., 3)."""
+        return (x - pivot - np.array(self.shift)) @ rotation_of(self.rotation) + pivot
+
+
+def rotation_of(vector: Sequence[float]) -> Array:
+    """Return the matrix of a rotation vector [rad], shape (3, 3) (Rodrigues)."""
+    x, y, z = vector
+    angle = math.sqrt(x * x + y * y + z * z)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-8:
+        return np.eye(3) + cross
+    return np.eye(3) + math.sin(angle) / angle * cross + (1.0 - math.cos(angle)) / angle**2 * (cross @ cross)
+
+
+def rotation_vector(matrix: Array) -> tuple[float, ...]:
+    """Return the rotation vector of a matrix, for angles below pi [rad]."""
+    axis = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2.0
+    sine, cosine = float(np.linalg.norm(axis)), (float(np.trace(matrix)) - 1.0) / 2.0
+    return tuple((axis * (math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0)).tolist())
+
+
+@attrs.frozen(kw_only=True)
+class AlignmentModel:
+    """Unknowns of the alignment of all recordings, in one vector.
+
+    Columns: the time offset, then rotation vector and shift of the camera; with `PER_RECORDING`, one after another.
+    """
+
+    n_recordings: int
+    #: FIXED, SHARED or PER_RECORDING.
+    time: str
+    camera: str
+    #: True if the camera's shift is unknown also where its rotation is fixed.
+    has_shift: bool
+    #: Centre of the camera's rotation [m].
+    pivot: tuple[float, ...]
+
+    @property
+    def max_offset(self) -> float:
+        """Largest time offset [s]."""
+        return 0.0 if self.time == FIXED else MAX_OFFSET
+
+    @property
+    def is_common(self) -> bool:
+        """True if all recordings have one alignment."""
+        return PER_RECORDING not in (self.time, self.camera)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Length of the vector of unknowns."""
+        return max((int(columns.max(initial=-1)) for columns in self._all_columns()), default=-1) + 1
+
+    def _all_columns(self) -> list[NDArray[np.int64]]:
+        return [self.columns(k)[1] for k in range(self.n_recordings)]
+
+    def columns(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return which of the seven unknowns a recording has, and their places in the vector."""
+        kinds, places = list[int](), list[int]()
+        n_time = {FIXED: 0, SHARED: 1, PER_RECORDING: self.n_recordings}[self.time]
+        if n_time:
+            kinds.append(0)
+            places.append(index if self.time == PER_RECORDING else 0)
+        first = 1 if self.camera != FIXED else 4
+        if self.camera != FIXED or self.has_shift:
+            width, block = 7 - first, index if self.camera == PER_RECORDING else 0
+            kinds += range(first, 7)
+            places += range(n_time + block * width, n_time + (block + 1) * width)
+        return np.array(kinds, dtype=np.int64), np.array(places, dtype=np.int64)
+
+    def prior_sigmas(self) -> Array:
+        """Return the standard deviation of each unknown's prior, shape (unknowns,)."""
+        sigmas = np.ones(self.n_unknowns)
+        for k in range(self.n_recordings):
+            kinds, places = self.columns(k)
+            sigmas[places] = np.array(PRIOR_SIGMAS)[kinds]
+        return sigmas
+
+    def is_shared(self) -> NDArray[np.bool_]:
+        """Return a mask of the unknowns that several recordings share, shape (unknowns,)."""
+        counts = np.zeros(self.n_unknowns, dtype=np.int64)
+        for k in range(self.n_recordings):
+            counts[self.columns(k)[1]] += 1
+        return counts > 1
+
+    def alignment(self, unknowns: Array, index: int) -> Alignment:
+        """Return the alignment of a recording."""
+        kinds, places = self.columns(index)
+        numbers = np.zeros(7)
+        numbers[kinds] = unknowns[places]
+        return Alignment(offset=float(numbers[0]), rotation=tuple(numbers[1:4]), shift=tuple(numbers[4:]))
+
+    def write_alignment(self, unknowns: Array, index: int, alignment: Alignment) -> None:
+        """Write the alignment of a recording into the vector."""
+        kinds, places = self.columns(index)
+        unknowns[places] = np.array([alignment.offset, *alignment.rotation, *alignment.shift])[kinds]
+
+    def clamp(self, unknowns: Array, offsets: tuple[float, float]) -> Array:
+        """Return the vector with time offsets between two limits [s]."""
+        clamped = unknowns.copy()
+        for k in range(self.n_recordings):
+            kinds, places = self.columns(k)
+            times = places[kinds == 0]
+            clamped[times] = np.clip(clamped[times], *offsets)
+        return clamped
+
+
+def cloud_residuals(
+    recording: FitRecording, trajectory: SimulatedMotion, alignment: Alignment, pivot: Array, clouds: NDArray[np.int64]
+) -> list[Array]:
+    """Return the residuals of some clouds [m]: measured minus simulated.
+
+    A matched cloud gives a vector per visible particle, shape (n, 3). Bare points give distances, shape (n, 1).
+
+    Args:
+        recording: the clouds.
+        trajectory: simulated motion.
+        alignment: time offset and camera pose.
+        pivot: centre of the camera's rotation [m], shape (3,).
+        clouds: indices of the clouds.
+    """
+    scene = recording.scene
+    frames = _frames_from(recording, trajectory)[clouds]
+    x = trajectory.sample(frames - alignment.offset * scene.rate)
+    if not recording.matched:
+        from cloth_sim_ros.fit.surface import signed_distances
+
+        triangles = scene.sheet.triangles()
+        points = [alignment.from_camera(cloud[visible(cloud)], pivot) for cloud in _selected(recording, clouds)]
+        return [signed_distances(p, positions, triangles)[:, None] for p, positions in zip(points, x, strict=True)]
+    shown = alignment.to_camera(x, pivot)
+    return [
+        cloud[visible(cloud)] - positions[visible(cloud)]
+        for cloud, positions in zip(_selected(recording, clouds), shown, strict=True)
+    ]
+
+
+def alignment_derivatives(
+    recording: FitRecording,
+    trajectory: SimulatedMotion,
+    alignment: Alignment,
+    pivot: Array,
+    clouds: NDArray[np.int64],
+    kinds: Sequence[int],
+) -> list[list[Array]]:
+    """Return the derivatives of `cloud_residuals` by some of the seven unknowns, for each unknown and cloud."""
+    numbers = np.array([alignment.offset, *alignment.rotation, *alignment.shift])
+    derivatives = []
+    for kind in kinds:
+        sides = []
+        for sign in (1.0, -1.0):
+            moved = numbers.copy()
+            moved[kind] += sign * _STEPS[kind]
+            changed = Alignment(offset=float(moved[0]), rotation=tuple(moved[1:4]), shift=tuple(moved[4:]))
+            sides.append(cloud_residuals(recording, trajectory, changed, pivot, clouds))
+        derivatives.append([(a - b) / (2.0 * _STEPS[kind]) for a, b in zip(*sides, strict=True)])
+    return derivatives
+
+
+def search_alignment(
+    recordings: Sequence[FitRecording],
+    trajectories: Sequence[SimulatedMotion],
+    clouds: Sequence[NDArray[np.int64]],
+    model: AlignmentModel,
+    offsets: tuple[float, float],
+) -> tuple[Alignment, float]:
+    """Return the alignment common to some recordings that fits best, and its cost [m].
+
+    Each time offset on a grid has its best camera pose in closed form. The cost is the mean of the points' distances
+    after it. Bare points give no pose: their mean distance from the surface decides on the offset alone.
+    """
+    pivot = np.array(model.pivot)
+    results = []
+    for offset in np.linspace(*offsets, round((offsets[1] - offsets[0]) / _OFFSET_STEP) + 1).tolist():
+        alignment = Alignment(offset=offset)
+        if not all(recording.matched for recording in recordings):
+            parts = [
+                cloud_residuals(recording, trajectory, alignment, pivot, indices)
+                for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True)
+            ]
+            distances = np.concatenate([np.abs(r).ravel() for part in parts for r in part])
+            results.append((float(distances.mean()), alignment))
+            continue
+        simulated, measured = [], []
+        for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True):
+            frames = _frames_from(recording, trajectory)[indices] - offset * recording.scene.rate
+            for cloud, x in zip(_selected(recording, indices), trajectory.sample(frames), strict=True):
+                seen = visible(cloud)
+                simulated.append(x[seen])
+                measured.append(cloud[seen])
+        results.append(_register(np.concatenate(simulated), np.concatenate(measured), offset, model))
+    cost, best = min(results, key=lambda result: result[0])
+    return best, cost
+
+
+def _register(x: Array, y: Array, offset: float, model: AlignmentModel) -> tuple[float, Alignment]:
+    """Return the mean distance after the best camera pose, and this alignment; outliers get small weights."""
+    pivot, weights = np.array(model.pivot), np.ones(len(x))
+    turn, shift = np.eye(3), np.zeros(3)
+    for _ in range(4):
+        total = weights.sum()
+        mean_x, mean_y = weights @ x / total, weights @ y / total
+        if model.camera != FIXED:
+            u, _, vt = np.linalg.svd((weights[:, None] * (y - mean_y)).T @ (x - mean_x))
+            turn = u @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))]) @ vt
+        if model.camera != FIXED or model.has_shift:
+            shift = mean_y - pivot - turn @ (mean_x - pivot)
+        distances = np.linalg.norm(y - ((x - pivot) @ turn.T + pivot + shift), axis=1)
+        weights = 1.0 / np.maximum(distances, 0.2 * float(np.median(distances)) + 1e-9)
+    alignment = Alignment(offset=offset, rotation=rotation_vector(turn), shift=tuple(shift.tolist()))
+    return float(distances.mean()), alignment
+
+
+def _selected(recording: FitRecording, clouds: NDArray[np.int64]) -> list[NDArray[np.float64]]:
+    return [recording.clouds[k] for k in clouds]
+
+
+def _frames_from(recording: FitRecording, trajectory: SimulatedMotion) -> NDArray[np.float64]:
+    """Return the clouds' times in frames of a trajectory, which may have omitted settling frames."""
+    return recording.frames - (recording.n_settle_frames - trajectory.n_settle_frames)

@@ -1,0 +1,119 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Covariance of a fit to several motions: each motion is a cluster of correlated clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.joint import JointProblem, JointSolution
+from cloth_sim_ros.physics.model.forces.force import Array
+
+#: Least number of motions of intervals by motion.
+MIN_MOTIONS = 5
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Covariance:
+    """Covariance of the parameters' logarithms."""
+
+    #: Shape (p, p).
+    matrix: Array
+    #: Standard deviation of each logarithm, shape (p,); infinite if the clouds do not depend on the parameter.
+    deviations: Array
+    #: Standard deviations of the alignment's unknowns, shape (unknowns,).
+    alignment_deviations: Array
+    #: Degrees of freedom of Student's distribution; None for a normal one.
+    freedom: int | None
+    #: True if intervals may be stated: by motions, or of the noise of a single motion.
+    has_intervals: bool
+    #: Change of all unknowns if a motion is left out, for each motion, shape (motions, unknowns); None without it.
+    without: Array | None = None
+
+
+def jackknife_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
+    """Return the covariance by leaving out each motion in turn, in the linearized fit.
+
+    Motions are independent; clouds of a motion may be correlated in any way, and the model may be wrong. Unknowns
+    of one motion alone are eliminated before.
+    """
+    information, gradient, keep, back = _eliminated(problem, solution)
+    prior_information, _ = problem.prior(solution.point)
+    total = information.sum(axis=0) + np.diag(prior_information[keep])
+    count = len(selected)
+    without = np.array([np.linalg.solve(total - information[g], gradient[g]) for g in range(count)])
+    centred = without - without.mean(axis=0)
+    matrix = (count - 1) / count * centred.T @ centred
+    p = len(problem.parameters)
+    changes = np.zeros((count, p + len(solution.point.eta)))
+    changes[:, keep] = without
+    variances = np.zeros(p + len(solution.point.eta))
+    variances[keep] = np.diag(matrix)
+    variances[back] = np.nan
+    deviations = np.sqrt(np.diag(matrix)[:p])
+    return Covariance(
+        matrix=matrix[:p, :p],
+        deviations=_unidentified(deviations, total),
+        alignment_deviations=np.sqrt(variances[p:]),
+        freedom=count - 1,
+        has_intervals=True,
+        without=changes,
+    )
+
+
+def noise_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
+    """Return the inverse information: the covariance if the model is right and clouds are independent."""
+    prior_information, _ = problem.prior(solution.point)
+    p = len(problem.parameters)
+    prior_information[:p] *= 1e-6
+    total = solution.equations.information.sum(axis=0) + np.diag(prior_information)
+    matrix = np.linalg.inv(total)
+    deviations = np.sqrt(np.diag(matrix))
+    return Covariance(
+        matrix=matrix[:p, :p],
+        deviations=_unidentified(deviations[:p], total),
+        alignment_deviations=deviations[p:],
+        freedom=None,
+        has_intervals=len(selected) == 1,
+    )
+
+
+def _unidentified(deviations: Array, information: Array) -> Array:
+    """Return the deviations, infinite where the information of a parameter is negligible."""
+    diagonal = np.diag(information)[: len(deviations)]
+    return np.where(diagonal > 1e-2, deviations, np.inf)
+
+
+def _eliminated(
+    problem: JointProblem, solution: JointSolution
+) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Return information and gradient of each motion without the unknowns of that motion alone.
+
+    Returns:
+        Information (motions, n, n), gradient (motions, n), indices of the n kept unknowns, and of the eliminated ones.
+    """
+    p = len(problem.parameters)
+    is_shared = np.concatenate([np.ones(p, dtype=bool), problem.alignment.is_shared()])
+    equations, (prior_information, prior_gradient) = solution.equations, problem.prior(solution.point)
+    keep, alone = np.flatnonzero(is_shared), np.flatnonzero(~is_shared)
+    information, gradient = equations.information[:, keep[:, None], keep], equations.gradient[:, keep]
+    if not len(alone):
+        return information, gradient, keep, alone
+    reduced, reduced_gradient = information.copy(), gradient.copy()
+    for g in range(len(information)):
+        matrix = equations.information[g]
+        block = alone[np.diag(matrix)[alone] > 0.0]
+        if not len(block):
+            continue
+        inner = matrix[np.ix_(block, block)] + np.diag(prior_information[block])
+        cross = matrix[np.ix_(keep, block)]
+        solved = np.linalg.solve(
+            inner, np.column_stack([cross.T, equations.gradient[g, block] + prior_gradient[block]])
+        )
+        reduced[g] -= cross @ solved[:, :-1]
+        reduced_gradient[g] -= cross @ solved[:, -1]
+    return reduced, reduced_gradient, keep, alone

@@ -1,0 +1,409 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Least squares of several recordings at once: parameters, time offset and camera pose.
+
+Derivatives by the parameters are differences of simulations. Derivatives by the alignment need no simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.alignment import AlignmentModel, alignment_derivatives, cloud_residuals
+from cloth_sim_ros.fit.noise import NoiseModel, initial_noise, smooth_modes
+from cloth_sim_ros.fit.parameters import FitError, FitParameter
+from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.solver import MAX_LOG_STEP, PRIOR_SIGMA
+from cloth_sim_ros.fit.trajectory import SimulatedMotion, TrajectoryPool, trajectory_run
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
+
+#: Steps of the noise model's estimate after each linearization.
+_NOISE_STEPS = 4
+#: Largest number of reductions of a step that does not lower the loss, and the factor of each.
+_MAX_REDUCTIONS, _REDUCTION = 4, 0.35
+#: Converged step [standard deviations], and of a logarithm.
+_CONVERGED_FRACTION, _CONVERGED_STEP = 0.1, 1e-5
+
+
+@attrs.define(kw_only=True, eq=False)
+class Point:
+    """Parameters and alignment, and the residuals there."""
+
+    #: Logarithms of the parameters, shape (p,), and unknowns of the alignment, shape (q,).
+    theta: Array
+    eta: Array
+    #: Simulated motion of each selected recording.
+    trajectories: list[SimulatedMotion]
+    #: Residuals of each selected recording and used cloud [m], shape (n, d) each.
+    residuals: list[list[Array]]
+
+
+@attrs.define(kw_only=True, eq=False)
+class Derivatives:
+    """Derivatives of the residuals by the logarithms of the parameters."""
+
+    #: For each selected recording, parameter and used cloud: shape (n, d) [m].
+    slopes: list[list[list[Array]]]
+    #: Half the second differences over the squared steps, likewise; empty for one-sided differences.
+    curvatures: list[list[list[Array]]]
+    #: Difference steps, shape (p,).
+    steps: Array
+
+
+@attrs.define(kw_only=True, eq=False)
+class NormalEquations:
+    """Information and gradient of each recording, about all unknowns: parameters, then alignment."""
+
+    #: Information matrix of each recording, shape (recordings, unknowns, unknowns).
+    information: Array
+    #: Gradient of each recording, shape (recordings, unknowns).
+    gradient: Array
+    #: Loss of each recording, shape (recordings,).
+    loss: Array
+
+
+@attrs.define(kw_only=True, eq=False)
+class JointProblem:
+    """Recordings, their used clouds, and the unknowns."""
+
+    recordings: Sequence[FitRecording]
+    #: Indices of the used clouds of each recording.
+    used: list[NDArray[np.int64]]
+    parameters: Sequence[FitParameter]
+    alignment: AlignmentModel
+    pool: TrajectoryPool
+    on_progress: Callable[[int], None] = lambda _runs: None
+    #: Smallest and largest time offset [s].
+    offsets: tuple[float, float] = attrs.field()
+    #: Rest state of each recording at similar parameters.
+    rest_states: dict[int, State] = attrs.field(factory=dict)
+    _modes: Array = attrs.field(init=False)
+
+    @offsets.default
+    def _default_offsets(self) -> tuple[float, float]:
+        return -self.alignment.max_offset, self.alignment.max_offset
+
+    def __attrs_post_init__(self) -> None:
+        self._modes = smooth_modes(self.recordings[0].scene.sheet.positions())
+
+    @property
+    def pivot(self) -> Array:
+        """Centre of the camera's rotation [m], shape (3,)."""
+        return np.array(self.alignment.pivot)
+
+    @property
+    def start(self) -> Array:
+        """Logarithms of the starting values, shape (p,)."""
+        return np.log([parameter.start for parameter in self.parameters])
+
+    def clamp(self, theta: Array) -> Array:
+        """Return logarithms within the parameters' limits."""
+        lower, upper = np.log([p.minimum for p in self.parameters]), np.log([p.maximum for p in self.parameters])
+        return np.clip(theta, lower, upper)
+
+    def simulate(
+        self, jobs: Sequence[tuple[int, Array]], tolerance: float, *, rest_states: Sequence[State] | None = None
+    ) -> list[SimulatedMotion | str]:
+        """Return the motions of pairs of a recording's index and logarithms of the parameters.
+
+        Args:
+            jobs: the pairs.
+            tolerance: tolerance of the simulations [m].
+            rest_states: rest state of each pair from which the cloth settles; default: the recordings' `rest_states`.
+        """
+        states = rest_states if rest_states is not None else [self.rest_states.get(index) for index, _ in jobs]
+        runs = [
+            trajectory_run(
+                self.recordings[index],
+                self.parameters,
+                np.exp(theta).tolist(),
+                tolerance=tolerance,
+                offsets=self.offsets,
+                rest_state=state,
+            )
+            for (index, theta), state in zip(jobs, states, strict=True)
+        ]
+        results = self.pool.simulate(runs)
+        self.on_progress(len(runs))
+        return results
+
+    def residuals(self, index: int, trajectory: SimulatedMotion, eta: Array) -> list[Array]:
+        """Return the residuals of a recording's used clouds [m]."""
+        alignment = self.alignment.alignment(eta, index)
+        return cloud_residuals(self.recordings[index], trajectory, alignment, self.pivot, self.used[index])
+
+    def evaluate(self, theta: Array, eta: Array, selected: Sequence[int], tolerance: float) -> Point | str:
+        """Return the residuals of the selected recordings, or the text of an error."""
+        cold = [k for k in selected if k not in self.rest_states]
+        results = self.simulate([(k, theta) for k in selected], tolerance)
+        trajectories = []
+        for k, result in zip(selected, results, strict=True):
+            if isinstance(result, str):
+                return f"{self.recordings[k].name}: {result}"
+            if k in cold and result.rest_state is not None:
+                self.rest_states[k] = result.rest_state
+            trajectories.append(result)
+        residuals = [self.residuals(k, t, eta) for k, t in zip(selected, trajectories, strict=True)]
+        return Point(theta=theta, eta=eta, trajectories=trajectories, residuals=residuals)
+
+    def settle_again(self, point: Point, selected: Sequence[int]) -> None:
+        """Start further simulations from the rest states of a point."""
+        for k, trajectory in zip(selected, point.trajectories, strict=True):
+            if trajectory.rest_state is not None:
+                self.rest_states[k] = trajectory.rest_state
+
+    def differentiate(
+        self, point: Point, selected: Sequence[int], steps: Array, tolerance: float, *, central: bool
+    ) -> Derivatives:
+        """Return differences by the parameters.
+
+        Raises:
+            FitError: if a simulation at a neighbouring point fails.
+        """
+        signs = (1.0, -1.0) if central else (1.0,)
+        p = len(steps)
+        jobs = [
+            (k, self.clamp(point.theta + sign * steps[i] * np.eye(p)[i]))
+            for k in selected
+            for i in range(p)
+            for sign in signs
+        ]
+        results = self.simulate(jobs, tolerance)
+        slopes, curvatures = list[list[list[Array]]](), list[list[list[Array]]]()
+        at = 0
+        for row, k in enumerate(selected):
+            base = point.residuals[row]
+            slopes.append([])
+            curvatures.append([])
+            for i in range(p):
+                sides = []
+                for _ in signs:
+                    result, theta = results[at], jobs[at][1]
+                    at += 1
+                    if isinstance(result, str):
+                        name = self.parameters[i].name
+                        raise FitError(
+                            f"{self.recordings[k].name} can't be simulated with {name} = {np.exp(theta[i]):.3g}, near "
+                            f"the result: {result}"
+                        )
+                    sides.append((float(theta[i] - point.theta[i]), self.residuals(k, result, point.eta)))
+                if not central or sides[0][0] == 0.0 or sides[1][0] == 0.0:
+                    step, moved = max(sides, key=lambda side: abs(side[0]))
+                    slopes[-1].append([(a - b) / step for a, b in zip(moved, base, strict=True)])
+                    curvatures[-1].append([np.zeros_like(b) for b in base])
+                    continue
+                (step_up, up), (step_down, down) = sides
+                slopes[-1].append([(a - b) / (step_up - step_down) for a, b in zip(up, down, strict=True)])
+                curvatures[-1].append([0.5 * (a + b) - c for a, b, c in zip(up, down, base, strict=True)])
+        return Derivatives(slopes=slopes, curvatures=curvatures, steps=steps)
+
+    def clouds(self, point: Point, selected: Sequence[int]) -> list[tuple[Array, Array]]:
+        """Return residuals and rows of the smooth modes of each cloud."""
+        pairs = []
+        for k, residuals in zip(selected, point.residuals, strict=True):
+            for cloud, r in zip(self.used[k], residuals, strict=True):
+                if len(r):
+                    pairs.append((r, self.mode_rows(k, int(cloud))))
+        return pairs
+
+    def mode_rows(self, index: int, cloud: int) -> Array:
+        """Return the rows of the smooth modes of a cloud's points, shape (n, modes)."""
+        recording = self.recordings[index]
+        if not recording.matched:
+            return np.zeros((int(visible(recording.clouds[cloud]).sum()), 0))
+        return np.asarray(self._modes[visible(recording.clouds[cloud])])
+
+    def white_noise(self, point: Point, loss: str) -> NoiseModel:
+        """Return a model of white noise for the residuals of a point."""
+        return initial_noise([r for part in point.residuals for r in part], loss, 0)
+
+    def smooth_noise(self, point: Point, selected: Sequence[int], loss: str) -> NoiseModel:
+        """Return a model with smooth errors and cloud weights for the residuals of a point."""
+        n_modes = self._modes.shape[1] if self.recordings[0].matched else 0
+        noise = initial_noise([r for part in point.residuals for r in part], loss, n_modes)
+        noise = attrs.evolve(noise, has_cloud_weights=True)
+        return self.update_noise(noise, point, selected, 4 * _NOISE_STEPS)
+
+    def update_noise(
+        self, noise: NoiseModel, point: Point, selected: Sequence[int], steps: int = _NOISE_STEPS
+    ) -> NoiseModel:
+        """Return the noise model after some steps of its estimate."""
+        clouds = self.clouds(point, selected)
+        for _ in range(steps):
+            noise = noise.updated(clouds)
+        return noise
+
+    def loss(self, point: Point, selected: Sequence[int], noise: NoiseModel) -> float:
+        """Return the loss of all clouds and of the prior."""
+        total = sum(noise.weigh(r, modes).loss for r, modes in self.clouds(point, selected))
+        distance = (point.theta - self.start) / PRIOR_SIGMA
+        aligned = point.eta / self.alignment.prior_sigmas()
+        return float(total + 0.5 * distance @ distance + 0.5 * aligned @ aligned)
+
+    def normal_equations(
+        self, point: Point, derivatives: Derivatives, selected: Sequence[int], noise: NoiseModel
+    ) -> NormalEquations:
+        """Return information and gradient of each selected recording, without the prior."""
+        p, q = len(point.theta), len(point.eta)
+        information = np.zeros((len(selected), p + q, p + q))
+        gradient = np.zeros((len(selected), p + q))
+        loss = np.zeros(len(selected))
+        for row, k in enumerate(selected):
+            kinds, places = self.alignment.columns(k)
+            alignment = self.alignment.alignment(point.eta, k)
+            by_alignment = alignment_derivatives(
+                self.recordings[k], point.trajectories[row], alignment, self.pivot, self.used[k], kinds.tolist()
+            )
+            columns = np.concatenate([np.arange(p), p + places])
+            for c, cloud in enumerate(self.used[k]):
+                r = point.residuals[row][c]
+                if not len(r):
+                    continue
+                weight = noise.weigh(r, self.mode_rows(k, int(cloud)))
+                jacobian = np.array([slope[c] for slope in (*derivatives.slopes[row], *by_alignment)])
+                weighted = weight.apply(jacobian)
+                block = np.einsum("ind,jnd->ij", jacobian, weighted)
+                information[row][np.ix_(columns, columns)] += block
+                gradient[row][columns] += np.einsum("ind,nd->i", weighted, r)
+                loss[row] += weight.loss
+        return NormalEquations(information=information, gradient=gradient, loss=loss)
+
+    def prior(self, point: Point) -> tuple[Array, Array]:
+        """Return the diagonal of the prior's information and its gradient, shape (unknowns,) each."""
+        sigmas = np.concatenate([np.full(len(point.theta), PRIOR_SIGMA), self.alignment.prior_sigmas()])
+        distance = np.concatenate([point.theta - self.start, point.eta])
+        return 1.0 / sigmas**2, distance / sigmas**2
+
+
+@attrs.define(kw_only=True, eq=False)
+class JointSolution:
+    """Result of a search."""
+
+    point: Point
+    derivatives: Derivatives
+    noise: NoiseModel
+    equations: NormalEquations
+    is_converged: bool
+
+
+def solve_joint(
+    problem: JointProblem,
+    point: Point,
+    selected: Sequence[int],
+    *,
+    noise: NoiseModel,
+    tolerance: float,
+    max_iterations: int,
+    steps: Array,
+    central: bool = False,
+    chord: bool = False,
+    converged_fraction: float = _CONVERGED_FRACTION,
+) -> JointSolution:
+    """Return the minimum of the loss near a point, by Gauss-Newton steps with a line search.
+
+    Args:
+        problem: recordings and unknowns.
+        point: start of the search.
+        selected: indices of the compared recordings.
+        noise: noise model; it is estimated again in each iteration.
+        tolerance: tolerance of the simulations [m].
+        max_iterations: largest number of steps.
+        steps: difference steps of the logarithms, shape (p,).
+        central: true for central differences.
+        chord: true to use the derivatives of the start in all iterations.
+        converged_fraction: step that counts as converged [standard deviations].
+
+    Raises:
+        FitError: if a simulation near the result fails.
+    """
+    # All simulations of this search settle from the same rest states, else differences would contain their change.
+    problem.settle_again(point, selected)
+    start = problem.evaluate(point.theta, point.eta, selected, tolerance)
+    point = point if isinstance(start, str) else start
+    derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
+    p, is_converged = len(point.theta), False
+    for iteration in range(max_iterations + 1):
+        if not chord:
+            noise = problem.update_noise(noise, point, selected)
+        equations = problem.normal_equations(point, derivatives, selected, noise)
+        prior_information, prior_gradient = problem.prior(point)
+        matrix = equations.information.sum(axis=0) + np.diag(prior_information)
+        gradient = equations.gradient.sum(axis=0) + prior_gradient
+        step = _limited_step(matrix, gradient, p)
+        sigmas = np.sqrt(np.diag(np.linalg.inv(matrix)))
+        clamped = problem.clamp(point.theta + step[:p]) - point.theta
+        is_converged = bool(np.all(np.abs(clamped) <= np.maximum(converged_fraction * sigmas[:p], _CONVERGED_STEP)))
+        if is_converged or iteration == max_iterations:
+            break
+        moved = _line_search(problem, point, selected, noise, tolerance, step)
+        if moved is None:
+            break
+        point = moved
+        if not chord:
+            derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
+    return JointSolution(
+        point=point, derivatives=derivatives, noise=noise, equations=equations, is_converged=is_converged
+    )
+
+
+def _limited_step(matrix: Array, gradient: Array, p: int) -> Array:
+    """Return the Newton step in which no logarithm changes by more than `MAX_LOG_STEP`.
+
+    Parameters that would change more are fixed at the limit, and the others are solved again.
+    """
+    step = np.zeros(len(gradient))
+    free = np.ones(len(gradient), dtype=bool)
+    while True:
+        fixed = matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], gradient[free] + fixed)
+        excess = free & (np.arange(len(step)) < p) & (np.abs(step) > MAX_LOG_STEP)
+        if not excess.any():
+            return step
+        step[excess] = np.sign(step[excess]) * MAX_LOG_STEP
+        free &= ~excess
+
+
+def _line_search(
+    problem: JointProblem, point: Point, selected: Sequence[int], noise: NoiseModel, tolerance: float, step: Array
+) -> Point | None:
+    """Return a point along a step with a lower loss; None if there is none."""
+    p, scaled = len(point.theta), step
+    current = problem.loss(point, selected, noise)
+    for _ in range(_MAX_REDUCTIONS):
+        theta = problem.clamp(point.theta + scaled[:p])
+        eta = problem.alignment.clamp(point.eta + scaled[p:], problem.offsets)
+        moved = problem.evaluate(theta, eta, selected, tolerance)
+        if not isinstance(moved, str) and problem.loss(moved, selected, noise) < current:
+            return moved
+        scaled = scaled * _REDUCTION
+    return None
+
+
+def linear_clouds(problem: JointProblem, solution: JointSolution, selected: Sequence[int], sigma: float) -> list[int]:
+    """Return, for each selected recording, the number of used clouds before the first unpredictable one.
+
+    A cloud is unpredictable if its residuals are nonlinear within a difference step, beyond the noise. Later clouds of
+    that recording are so too.
+    """
+    from cloth_sim_ros.fit.windows import MAX_CURVATURE
+
+    counts = []
+    for row, k in enumerate(selected):
+        slopes, curvatures = solution.derivatives.slopes[row], solution.derivatives.curvatures[row]
+        n_linear = len(problem.used[k])
+        for c in range(n_linear):
+            is_curved = False
+            for i, step in enumerate(solution.derivatives.steps):
+                curvature = float(np.square(curvatures[i][c]).sum())
+                line = float(np.square(slopes[i][c] * step).sum())
+                is_curved |= curvature > MAX_CURVATURE**2 * max(line, sigma**2 * slopes[i][c].size)
+            if is_curved:
+                n_linear = c
+                break
+        counts.append(n_linear)
+    return counts

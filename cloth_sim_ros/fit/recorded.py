@@ -1,0 +1,130 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recording of a real cloth: clouds and gripper poses, whatever file they came from.
+
+A reader of another format returns a `Recording`. `start.py` turns it into a `FitRecording`, which a fit simulates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import attrs
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.physics.model.forces.force import Array
+
+#: Longest accepted recording [s].
+MAX_DURATION = 3600.0
+
+
+def _to_array(values: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _to_clouds(clouds: Iterable[ArrayLike]) -> tuple[NDArray[np.float64], ...]:
+    return tuple(_to_array(cloud) for cloud in clouds)
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class RecordedGripper:
+    """Recorded poses and grasps of a gripper."""
+
+    #: Times of the poses [s], ascending, shape (n,).
+    times: NDArray[np.float64] = attrs.field(converter=_to_array)
+    #: Positions [m], shape (n, 3).
+    positions: Array = attrs.field(converter=_to_array)
+    #: Unit quaternions x, y, z, w, shape (n, 4).
+    quaternions: Array = attrs.field(converter=_to_array)
+    #: Times of its grasps [s], and true if it closes.
+    grasps: tuple[tuple[float, bool], ...] = ()
+
+    def __attrs_post_init__(self) -> None:
+        n = len(self.times)
+        if not n or self.positions.shape != (n, 3) or self.quaternions.shape != (n, 4):
+            shapes = f"{self.times.shape}, {self.positions.shape} and {self.quaternions.shape}"
+            raise FitError(f"times, positions and quaternions have shapes {shapes}; they must be (n,), (n, 3), (n, 4)")
+
+    def is_closed(self, time: float) -> bool:
+        """Return True if it holds particles at a time [s]: closed by its last grasp, or without any grasp."""
+        grasps = [closed for begin, closed in self.grasps if begin <= time]
+        return not grasps or grasps[-1]
+
+    def pose_at(self, time: float) -> tuple[list[float], list[float]]:
+        """Return position [m] and quaternion at a time [s], linear between poses and constant outside them."""
+        last = len(self.times) - 1
+        k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, max(last - 1, 0)))
+        after = min(k + 1, last)
+        span = self.times[after] - self.times[k]
+        fraction = float(np.clip((time - self.times[k]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+        before_turn, after_turn = self.quaternions[k], self.quaternions[after]
+        if float(before_turn @ after_turn) < 0.0:
+            after_turn = -after_turn
+        position = (1.0 - fraction) * self.positions[k] + fraction * self.positions[after]
+        turn = (1.0 - fraction) * before_turn + fraction * after_turn
+        turn = turn / np.sqrt(float(turn @ turn))
+        return position.tolist(), turn.tolist()
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Recording:
+    """Clouds and gripper poses of one motion of a real cloth.
+
+    All times have one origin. The clouds' clock may differ from the grippers' by an offset, which a fit can find.
+    """
+
+    #: Name of the file, for reports.
+    name: str
+    #: Time of each cloud [s], ascending, shape (clouds,).
+    times: NDArray[np.float64] = attrs.field(converter=_to_array)
+    #: Points of each cloud [m], shape (points, 3): a row for each particle, NaN if it is hidden; or bare points.
+    clouds: tuple[NDArray[np.float64], ...] = attrs.field(converter=_to_clouds)
+    #: Track of each gripper, by the name that the scene gives it.
+    grippers: Mapping[str, RecordedGripper]
+    #: True if row k of a cloud is particle k; false for bare points of the surface.
+    matched: bool = True
+
+    def __attrs_post_init__(self) -> None:
+        if len(self.times) != len(self.clouds):
+            raise FitError(f"{self.name} has {len(self.times)} times for {len(self.clouds)} clouds")
+        if not len(self.clouds):
+            raise FitError(f"{self.name} holds no cloud")
+        if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0.0).all()):
+            raise FitError(f"{self.name}: the times of the clouds must be finite and ascending")
+        span = self.times[-1] - self.times[0]
+        if span > MAX_DURATION:
+            cause = f"clouds span {span:.0f} s; the limit is {MAX_DURATION:g} s"
+            raise FitError(f"{cause}. Stamp all messages by one clock")
+        for name, track in self.grippers.items():
+            if track.times.min() > self.times[-1] or track.times.max() < self.times[0] - 60.0:
+                raise FitError(
+                    f"poses of gripper '{name}' and clouds do not overlap in time: stamps of "
+                    f"{track.times.min():.3f} to {track.times.max():.3f} s and {self.times[0]:.3f} to "
+                    f"{self.times[-1]:.3f} s; stamp both by one clock"
+                )
+
+    def since(self, time: float) -> Recording:
+        """Return the recording from the first cloud at or after a time, relative to the first one [s].
+
+        Raises:
+            FitError: if there is no such cloud.
+        """
+        last = float(self.times[-1] - self.times[0])
+        if not (np.isfinite(time) and 0.0 <= time <= last):
+            raise FitError(f"--from is {time:g} s; it must be from 0 to {last:.2f}, the last cloud")
+        first = int(np.searchsorted(self.times, self.times[0] + time - 1e-3))
+        return attrs.evolve(self, times=self.times[first:], clouds=self.clouds[first:])
+
+    def part(self, *, until: float | None = None, every: int = 1) -> Recording:
+        """Return the recording up to a time since its first cloud [s], with every n-th cloud.
+
+        Args:
+            until: time of the last cloud [s]; None for all.
+            every: n.
+        """
+        count = len(self.times)
+        if until is not None:
+            count = int(np.searchsorted(self.times, self.times[0] + until + 1e-9, side="right"))
+        return attrs.evolve(self, times=self.times[:count:every], clouds=self.clouds[:count:every])

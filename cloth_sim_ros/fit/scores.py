@@ -1,0 +1,151 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of a fitted cloth beside two yardsticks: the cloth carried rigidly, and the camera's error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.alignment import rotation_of
+from cloth_sim_ros.fit.joint import JointProblem, Point
+from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.trajectory import SimulatedMotion
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.simulation.events import Target
+
+#: Largest distance from a driven particle in the rest shape whose points count for the floor [particle spacings].
+_FLOOR_REACH = 1.5
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Score:
+    """Distances of points from the simulated cloth."""
+
+    #: All distances [m], shape (points,).
+    distances: NDArray[np.float64]
+
+    @property
+    def median(self) -> float:
+        """Median [m]."""
+        return float(np.median(self.distances)) if self.distances.size else float("nan")
+
+    @property
+    def quantile_95(self) -> float:
+        """95 % quantile [m]."""
+        return float(np.quantile(self.distances, 0.95)) if self.distances.size else float("nan")
+
+    @property
+    def rms(self) -> float:
+        """Root mean square [m]."""
+        return float(np.sqrt(np.square(self.distances).mean())) if self.distances.size else float("nan")
+
+
+def score(distances: Sequence[Array]) -> Score:
+    """Return the score of the distances of several clouds [m]."""
+    return Score(
+        distances=np.concatenate([np.asarray(d).ravel() for d in distances]) if len(distances) else np.zeros(0)
+    )
+
+
+def gripper_poses(recording: FitRecording, frames: NDArray[np.float64], names: Sequence[str]) -> Array:
+    """Return the commanded positions of grippers at times in frames [m], shape (times, grippers, 3)."""
+    positions = np.full((len(recording.events) + 1, len(names), 3), np.nan)
+    for n, events in enumerate(recording.events):
+        positions[n + 1] = positions[n]
+        for event in events:
+            if isinstance(event, Target) and event.gripper in names:
+                positions[n + 1, names.index(event.gripper)] = event.position
+    positions[0] = positions[1]
+    at = np.clip(frames, 0.0, len(positions) - 1.0)
+    below = np.minimum(np.floor(at).astype(np.int64), len(positions) - 2)
+    fraction = (at - below)[:, None, None]
+    return np.asarray((1.0 - fraction) * positions[below] + fraction * positions[below + 1])
+
+
+def rigid_distances(problem: JointProblem, index: int, trajectory: SimulatedMotion, eta: Array) -> list[Array]:
+    """Return the distances of a recording's points from the cloth at rest that its grippers carry rigidly [m].
+
+    The cloth moves with the mean of the grippers and turns with the line from the first one to the last one.
+    """
+    recording = problem.recordings[index]
+    names = sorted({event.gripper for events in recording.events for event in events if isinstance(event, Target)})
+    frames = recording.frames[problem.used[index]]
+    alignment = problem.alignment.alignment(eta, index)
+    at = frames - alignment.offset * recording.scene.rate
+    poses = gripper_poses(recording, np.concatenate([[float(recording.n_settle_frames)], at]), names)
+    rest_shape = trajectory.x[0]
+    carried = (
+        [
+            (rest_shape - poses[0].mean(axis=0)) @ _turn_between(poses[0], pose).T + pose.mean(axis=0)
+            for pose in poses[1:]
+        ]
+        if names
+        else [rest_shape] * len(at)
+    )
+    copies = SimulatedMotion(
+        frames=np.arange(len(carried)),
+        x=np.array(carried),
+        v=np.zeros((len(carried), *rest_shape.shape)),
+        period=trajectory.period,
+        n_missed=0,
+        n_settle_frames=0,
+    )
+    still = attrs.evolve(
+        recording,
+        frames=np.arange(len(carried), dtype=np.float64),
+        n_settle_frames=0,
+        clouds=tuple(recording.clouds[int(k)] for k in problem.used[index]),
+    )
+    from cloth_sim_ros.fit.alignment import cloud_residuals
+
+    residuals = cloud_residuals(
+        still, copies, attrs.evolve(alignment, offset=0.0), problem.pivot, np.arange(len(carried))
+    )
+    return [np.linalg.norm(r, axis=1) for r in residuals]
+
+
+def _turn_between(before: Array, after: Array) -> Array:
+    """Return the smallest rotation that turns the line through the grippers, shape (3, 3)."""
+    a, b = before[-1] - before[0], after[-1] - after[0]
+    lengths = float(np.linalg.norm(a)) * float(np.linalg.norm(b))
+    if lengths == 0.0:
+        return np.eye(3)
+    axis, cosine = np.cross(a, b) / lengths, float(a @ b) / lengths
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9:
+        return np.eye(3)
+    return rotation_of((axis / sine * np.arctan2(sine, cosine)).tolist())
+
+
+def driven_floor(problem: JointProblem, point: Point, selected: Sequence[int]) -> tuple[Score | None, str]:
+    """Return the camera's error at the driven particles, and its description; None if it shows none of them.
+
+    Driven particles are held by a gripper or anchored. If the camera never shows them, their neighbours count.
+    """
+    recording = problem.recordings[selected[0]]
+    if not recording.matched:
+        return None, "bare points show no particle"
+    driven = sorted(
+        {particle for entry in recording.grasped for particle in entry.particles}
+        | {int(k) for k in recording.scene.anchored_particles()}
+    )
+    if not driven:
+        return None, "no particle is driven"
+    rest_shape = recording.scene.sheet.positions()
+    distances = np.linalg.norm(rest_shape[:, None] - rest_shape[driven], axis=2).min(axis=1)
+    spacing = float(np.partition(distances, len(driven))[len(driven)]) if len(rest_shape) > len(driven) else 0.0
+    for reach, basis in ((0.0, "driven particles"), (_FLOOR_REACH * spacing, "neighbours of the driven particles")):
+        chosen = distances <= reach + 1e-12
+        parts = []
+        for k, residuals in zip(selected, point.residuals, strict=True):
+            for cloud, r in zip(problem.used[k], residuals, strict=True):
+                seen = visible(problem.recordings[k].clouds[int(cloud)])
+                parts.append(np.linalg.norm(r[chosen[seen]], axis=1))
+        result = score(parts)
+        if result.distances.size:
+            return result, basis
+    return None, "the camera shows neither driven particles nor their neighbours"

@@ -1,0 +1,341 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start of a simulation from a recording of a real cloth: its initial state, and the events of each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.grasped import (
+    GRASP_SPAN,
+    GraspedParticles,
+    check_distinct,
+    find_grasped,
+    find_grasped_at_rest,
+    parse_all_grasped,
+)
+from cloth_sim_ros.fit.motion import GripperPath, check_grippers_rest, check_rest
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.recorded import MAX_DURATION, RecordedGripper, Recording
+from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.screening import MAX_SCALE, MIN_SCALE, scale
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.bodies.grippers import Grippers
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+
+#: Default of the settling time [s].
+SETTLE_TIME = 4.0
+#: Least fraction of visible particles of a cloud that gives the initial shape.
+_MIN_VISIBLE = 0.3
+
+
+def rest_recording(
+    recording: Recording, scene: Scene, *, settle_time: float = SETTLE_TIME, grasped: Mapping[str, str] | None = None
+) -> FitRecording:
+    """Return a recording whose cloth hangs at rest in its grippers at the first cloud.
+
+    Args:
+        recording: clouds and gripper poses.
+        scene: the cloth and its grippers.
+        settle_time: settling time of the simulated cloth before the first cloud [s].
+        grasped: grasped particles by gripper, such as ``12,13`` or ``top_left``; by default, found from the clouds.
+
+    Raises:
+        FitError: if the recording is unusable; the text names cause and remedy.
+    """
+    named_particles = parse_all_grasped(scene, grasped or {})
+    n_settle_frames = settle_frames(scene, settle_time)
+    tracks, start = recording.grippers, float(recording.times[0])
+    seconds = recording.times - start
+    closed = closed_grippers(scene, tracks, start, named_particles)
+    paths = {name: gripper_path(tracks[name], start) for name in closed}
+    check_rest(recording.clouds if recording.matched else (), seconds, scene.sheet.positions(), paths)
+    closed_tracks = {name: tracks[name] for name in closed}
+    state, selections = _initial_state(recording, scene, closed_tracks, named_particles)
+    frames = n_settle_frames + seconds * scene.rate
+    grasping = [entry.gripper for entry in selections]
+    n_frames = int(np.ceil(frames[-1] - 1e-9))
+    return FitRecording(
+        name=recording.name,
+        scene=scene,
+        state=state,
+        events=tuple(_events(scene, tracks, start, n_settle_frames, n_frames, grasping)),
+        frames=frames,
+        seconds=seconds,
+        clouds=recording.clouds,
+        matched=recording.matched,
+        n_settle_frames=n_settle_frames,
+        has_shift=recording.matched,
+        grasped=tuple(selections),
+    )
+
+
+def motion_recording(
+    recording: Recording,
+    scene: Scene,
+    selections: Sequence[GraspedParticles],
+    *,
+    settle_time: float = SETTLE_TIME,
+    max_offset: float = 0.0,
+) -> FitRecording:
+    """Return a recording that is simulated from before the first cloud to after the last one.
+
+    The cloth hangs at rest in its grippers at the start. Clouds may be late or early by `max_offset`.
+
+    Args:
+        recording: clouds and gripper poses.
+        scene: the cloth and its grippers.
+        selections: grasped particles of each gripper that is closed at the start.
+        settle_time: settling time of the simulated cloth before the start [s].
+        max_offset: largest time offset of the clouds [s].
+
+    Raises:
+        FitError: if a gripper moves at the start.
+    """
+    n_settle_frames = settle_frames(scene, settle_time)
+    start = start_time(recording, scene, max_offset)
+    frames = n_settle_frames + (recording.times - start) * scene.rate
+    n_frames = int(np.ceil(frames[-1] + max_offset * scene.rate - 1e-9))
+    grasping = [selection.gripper for selection in selections]
+    return FitRecording(
+        name=recording.name,
+        scene=scene,
+        state=hanging_state(recording, scene, selections, start),
+        events=tuple(_events(scene, recording.grippers, start, n_settle_frames, n_frames, grasping)),
+        frames=frames,
+        seconds=recording.times - recording.times[0],
+        clouds=recording.clouds,
+        matched=recording.matched,
+        n_settle_frames=n_settle_frames,
+        grasped=tuple(selections),
+    )
+
+
+def settle_frames(scene: Scene, settle_time: float) -> int:
+    """Return the number of settling frames.
+
+    Raises:
+        FitError: if the time is out of its range.
+    """
+    if not (np.isfinite(settle_time) and 0.0 <= settle_time <= MAX_DURATION):
+        raise FitError(f"--settle is {settle_time:g} s; it must be from 0 to {MAX_DURATION:g}")
+    return max(round(settle_time * scene.rate), 1)
+
+
+def start_time(recording: Recording, scene: Scene, max_offset: float) -> float:
+    """Return the time at which the simulation starts [s]: `max_offset` before the first cloud, with still grippers.
+
+    If a gripper moves then, the simulation starts at the first pose.
+
+    Raises:
+        FitError: if a gripper moves at both times.
+    """
+    latest = float(recording.times[0]) - max_offset
+    tracks = {name: track for name, track in recording.grippers.items() if not scene.pinches(name)}
+    first_pose = min((float(track.times[0]) for track in tracks.values()), default=latest)
+    error = None
+    # Before its first pose a gripper counts as still, although nobody recorded it: its first pose is checked.
+    for start in (latest, first_pose) if first_pose < latest else (max(latest, first_pose),):
+        paths = {name: gripper_path(track, start) for name, track in tracks.items() if track.is_closed(start)}
+        try:
+            check_grippers_rest(paths)
+        except FitError as refused:
+            error = error or refused
+        else:
+            return min(start, latest)
+    assert error is not None
+    raise FitError(
+        f"{recording.name}: {error}. Begin the recording before the robot moves, or start by --from when it hangs still"
+    )
+
+
+def closed_grippers(
+    scene: Scene, tracks: Mapping[str, RecordedGripper], time: float, named: Mapping[str, object]
+) -> list[str]:
+    """Return the grippers that hold particles at a time [s]: closed by their last grasp, or without any grasp.
+
+    Raises:
+        FitError: if an open gripper is named.
+    """
+    closed = [name for name, track in tracks.items() if not scene.pinches(name) and track.is_closed(time)]
+    open_grippers = [name for name in named if name not in closed]
+    if open_grippers:
+        raise FitError(f"--held names '{open_grippers[0]}', which is open at the first cloud")
+    return closed
+
+
+def gripper_path(track: RecordedGripper, start: float) -> GripperPath:
+    """Return the path of a gripper over the time since a start [s]."""
+    return GripperPath(times=track.times - start, positions=track.positions)
+
+
+def hanging_state(
+    recording: Recording, scene: Scene, selections: Sequence[GraspedParticles], start: float
+) -> State | None:
+    """Return an initial state: the first cloud's shape, moved to the grippers; None without usable points.
+
+    The cloth settles from this state. A cloud with few visible particles, or of another scale, is replaced by
+    the scene's initial shape.
+    """
+    rest_positions, cloud = scene.initial_positions(), recording.clouds[0]
+    seen = visible(cloud)
+    if not seen.any() or (recording.matched and len(cloud) != len(rest_positions)):
+        return None
+    poses = {selection.gripper: recording.grippers[selection.gripper].pose_at(start) for selection in selections}
+    use_cloud = recording.matched and seen.mean() >= _MIN_VISIBLE
+    if use_cloud:
+        ratio = scale(cloud[seen], scene.sheet.positions()[seen])
+        use_cloud = ratio is not None and MIN_SCALE <= ratio <= MAX_SCALE
+    x = fill_gaps(cloud, scene.sheet.triangles()) if use_cloud else rest_positions.copy()
+    if selections:
+        shifts = [
+            np.array(poses[selection.gripper][0]) - x[list(selection.particles)].mean(axis=0)
+            for selection in selections
+        ]
+        x = x + np.mean(shifts, axis=0)
+    for selection in selections:
+        particles = list(selection.particles)
+        x[particles] += np.array(poses[selection.gripper][0]) - x[particles].mean(axis=0)
+    anchors = scene.anchored_particles()
+    x[anchors] = rest_positions[anchors]
+    return _grasping_state(scene, x, selections, poses)
+
+
+def _grasping_state(
+    scene: Scene,
+    x: Array,
+    selections: Sequence[GraspedParticles],
+    poses: Mapping[str, tuple[list[float], list[float]]],
+) -> State:
+    """Return a state at positions [m], with closed grippers at their poses."""
+    check_distinct(selections)
+    state = State(x, cloth=scene.starting_state().cloth)
+    grippers = Grippers(scene.gripper_names, state)
+    for selection in selections:
+        grippers.set_target(Target(selection.gripper, *poses[selection.gripper]))
+        grippers.attach(selection.gripper, np.setdiff1d(selection.particles, scene.anchored_particles()))
+    return state
+
+
+def _initial_state(
+    recording: Recording,
+    scene: Scene,
+    tracks: Mapping[str, RecordedGripper],
+    named_particles: Mapping[str, Sequence[int]],
+) -> tuple[State | None, list[GraspedParticles]]:
+    """Return an initial state near the first cloud, and the grasped particles.
+
+    The cloth settles from this state. Gaps of a matched cloud are filled. Bare points deform the scene's flat sheet.
+    Grasped particles lie at their gripper's origin, anchors at the scene's positions. The state is None if
+    the cloud has no usable point.
+    """
+    clouds, start = recording.clouds, float(recording.times[0])
+    rest_positions, cloud = scene.initial_positions(), clouds[0]
+    seen = cloud[visible(cloud)]
+    if not len(seen) or (recording.matched and len(cloud) != len(rest_positions)):
+        return None, []
+    poses = {name: track.pose_at(start) for name, track in tracks.items()}
+    grasped: list[GraspedParticles] = []
+    if recording.matched:
+        x = cloud.copy()
+        for name, track in tracks.items():
+            cloud_indices = _clouds_while_grasped(recording, track)
+            grasped_clouds = [clouds[k] for k in cloud_indices]
+            cloud_poses = [track.pose_at(float(recording.times[k])) for k in cloud_indices]
+            local_poses = [(*position, *turn) for position, turn in cloud_poses]
+            known = named_particles.get(name, ())
+            selection, local_positions = find_grasped(scene, name, grasped_clouds, local_poses, known)
+            position, turn = poses[name]
+            particles = list(selection.particles)
+            x[particles] = np.array(position) + local_positions[particles] @ np.array(rotation_matrix(np.array(turn))).T
+            grasped.append(selection)
+        anchors = scene.anchored_particles()
+        x[anchors] = rest_positions[anchors]
+        x = fill_gaps(x, scene.sheet.triangles())
+    else:
+        grasped = [find_grasped_at_rest(scene, name, poses[name][0], named_particles.get(name, ())) for name in tracks]
+        positions = {selection.particles[0]: np.array(poses[selection.gripper][0]) for selection in grasped}
+        x = _deform_sheet(rest_positions, seen, positions)
+        anchors = scene.anchored_particles()
+        x[anchors] = rest_positions[anchors]
+    return _grasping_state(scene, x, grasped, poses), grasped
+
+
+def _clouds_while_grasped(recording: Recording, track: RecordedGripper) -> NDArray[np.int64]:
+    """Return the indices of the clouds of the first second before a gripper opens: they show its grasped particles."""
+    seconds, start = recording.times - recording.times[0], float(recording.times[0])
+    opening_times = [time - start for time, closed in track.grasps if time > start and not closed]
+    is_whole = [len(cloud) == len(recording.clouds[0]) for cloud in recording.clouds]
+    return np.flatnonzero((seconds <= GRASP_SPAN) & (seconds < min(opening_times, default=np.inf)) & np.array(is_whole))
+
+
+def _deform_sheet(rest_positions: Array, points: Array, grasped_positions: Mapping[int, Array]) -> Array:
+    """Return a flat sheet, moved to the grasped particles and deformed along its normal to the nearest points."""
+    from scipy.spatial import cKDTree
+
+    x, grasped = rest_positions.copy(), list(grasped_positions)
+    if grasped:
+        distances = np.sqrt(np.square(rest_positions[:, None] - rest_positions[grasped]).sum(axis=2))
+        weights = 1.0 / np.square(np.maximum(distances, 1e-6))
+        weights /= weights.sum(axis=1, keepdims=True)
+        x += weights @ (np.array([grasped_positions[particle] for particle in grasped]) - rest_positions[grasped])
+    normal = np.linalg.svd(rest_positions - rest_positions.mean(axis=0), full_matrices=False)[2][2]
+    _, nearest = cKDTree(points).query(x, k=min(8, len(points)))
+    local_means = points[np.asarray(nearest).reshape(len(x), -1)].mean(axis=1)
+    x = np.asarray(x + ((local_means - x) @ normal)[:, None] * normal)
+    for particle, position in grasped_positions.items():
+        x[particle] = position
+    return x
+
+
+def fill_gaps(cloud: Array, triangles: NDArray[np.integer]) -> Array:
+    """Return a cloud with each gap filled by the mean of its neighbours (Jacobi iteration)."""
+    x, seen = cloud.copy(), visible(cloud)
+    x[~seen] = cloud[seen].mean(axis=0)
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    degree = np.bincount(pairs.ravel(), minlength=len(x)).clip(1)[:, None]
+    for _ in range(2000 if not seen.all() else 0):
+        sums = np.zeros_like(x)
+        np.add.at(sums, pairs[:, 0], x[pairs[:, 1]])
+        np.add.at(sums, pairs[:, 1], x[pairs[:, 0]])
+        means = sums / degree
+        change = float(np.abs(means[~seen] - x[~seen]).max())
+        x[~seen] = means[~seen]
+        if change < 1e-5:
+            break
+    return x
+
+
+def _events(
+    scene: Scene,
+    tracks: Mapping[str, RecordedGripper],
+    start: float,
+    n_settle_frames: int,
+    frames: int,
+    grasping: Sequence[str],
+) -> list[tuple[Event, ...]]:
+    """Return the events of each frame: grippers close at their first pose, wait while settling, then follow the poses.
+
+    Grippers that hold particles already do not close again.
+    """
+    period = scene.period
+    events: list[tuple[Event, ...]] = []
+    for k in range(frames):
+        now = start + max(k + 1 - n_settle_frames, 0) * period
+        frame_events: list[Event] = []
+        for name, track in tracks.items():
+            if not k or k >= n_settle_frames:
+                frame_events.append(Target(name, *track.pose_at(now)))
+            if not k and name not in grasping and track.is_closed(start):
+                frame_events.append(Grasp(name, True))
+            grasps = track.grasps if k >= n_settle_frames else ()
+            frame_events += [Grasp(name, closed) for time, closed in grasps if now - period < time <= now]
+        events.append(tuple(frame_events))
+    return events

@@ -1,0 +1,236 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated motions near the times of a recording's clouds, for any time offset of the clouds."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.parameters import FitError, FitParameter, scene_with
+from cloth_sim_ros.fit.recording import FitRecording, prepare_state
+from cloth_sim_ros.fit.runs import MAX_WORK, interpolate, settling_drag_events
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.session.child_process import overrides, safe_imports
+from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.simulation.simulation import Simulation
+
+if TYPE_CHECKING:
+    from loky import ProcessPoolExecutor
+
+#: Tolerance of settling frames [m].
+SETTLING_TOLERANCE = 1e-3
+#: Settling time of a cloth that starts from the rest state of similar parameters [s].
+WARM_SETTLE_TIME = 1.5
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class SimulatedMotion:
+    """Positions and velocities at the frames near the clouds."""
+
+    #: Indices of the frames, ascending, shape (frames,); 0 is the start.
+    frames: NDArray[np.int64]
+    #: Positions [m] and velocities [m/s], shape (frames, particles, 3).
+    x: Array
+    v: Array
+    #: Duration of a frame [s].
+    period: float
+    #: Number of frames that missed the tolerance.
+    n_missed: int
+    #: Number of settling frames before the motion.
+    n_settle_frames: int
+    #: State at the end of settling.
+    rest_state: State | None = None
+
+    def sample(self, frame_times: NDArray[np.float64]) -> Array:
+        """Return positions at times in frames, with fractions [m], shape (times, particles, 3).
+
+        Positions between two frames are interpolated by cubic Hermite polynomials. Times outside the trajectory give
+        its first or last position.
+        """
+        clipped = np.clip(frame_times, self.frames[0], self.frames[-1])
+        below = np.searchsorted(self.frames, np.floor(clipped), side="right") - 1
+        below = np.clip(below, 0, len(self.frames) - 1)
+        above = np.minimum(below + 1, len(self.frames) - 1)
+        s = (clipped - self.frames[below])[:, None, None]
+        x0, v0, x1, v1 = self.x[below], self.v[below], self.x[above], self.v[above]
+        return interpolate(x0, v0, x1, v1, s, self.period)
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class TrajectoryRun:
+    """Request of one simulation."""
+
+    #: Recording without clouds.
+    recording: FitRecording
+    parameters: tuple[FitParameter, ...]
+    #: Values of the parameters, in their units.
+    values: tuple[float, ...]
+    #: Tolerance of the simulation [m].
+    tolerance: float
+    #: Smallest and largest time offset of the clouds [frames].
+    offsets: tuple[float, float] = (0.0, 0.0)
+
+
+def trajectory_run(
+    recording: FitRecording,
+    parameters: Sequence[FitParameter],
+    values: Sequence[float],
+    *,
+    tolerance: float,
+    offsets: tuple[float, float] = (0.0, 0.0),
+    rest_state: State | None = None,
+) -> TrajectoryRun:
+    """Return the request of a simulation.
+
+    Args:
+        recording: commands and times of the clouds.
+        parameters: the parameters, in the order of the values.
+        values: values of the parameters.
+        tolerance: tolerance of the simulation [m].
+        offsets: smallest and largest time offset of the clouds [s].
+        rest_state: rest state of similar parameters, from which the cloth settles faster.
+    """
+    light = attrs.evolve(recording, clouds=())
+    n_warm = max(round(WARM_SETTLE_TIME * recording.scene.rate), 1)
+    omitted = recording.n_settle_frames - n_warm
+    if rest_state is not None and omitted > 0:
+        light = attrs.evolve(
+            light,
+            state=rest_state,
+            events=recording.events[omitted:],
+            frames=recording.frames - omitted,
+            n_settle_frames=n_warm,
+        )
+    rate = recording.scene.rate
+    return TrajectoryRun(
+        recording=light,
+        parameters=tuple(parameters),
+        values=tuple(values),
+        tolerance=tolerance,
+        offsets=(offsets[0] * rate, offsets[1] * rate),
+    )
+
+
+def simulate_trajectory(run: TrajectoryRun) -> SimulatedMotion:
+    """Simulate a recording's motion.
+
+    Raises:
+        ValueError: if the values are invalid, or an event can't take effect.
+        UnstableError: if the motion does not stay finite.
+    """
+    recording, n_settle = run.recording, run.recording.n_settle_frames
+    scene = scene_with(
+        recording.scene, run.parameters, run.values, tolerance=run.tolerance, step=0.0, work_limit=MAX_WORK
+    )
+    simulation = Simulation(scene, recording.state)
+    stored_frames = _needed_frames(recording, run.offsets)
+    positions, velocities, n_missed, rest_state = [], [], 0, None
+    if stored_frames[0] == 0:
+        positions.append(simulation.state.x.T.copy())
+        velocities.append(simulation.state.v.T.copy())
+    needed = frozenset(stored_frames.tolist())
+    for n in range(int(stored_frames[-1])):
+        events = [*recording.events[n], *settling_drag_events(scene, n, n_settle)]
+        if n_settle and n in (0, n_settle):
+            settling = max(SETTLING_TOLERANCE, run.tolerance)
+            events.append(SetParameters({"tolerance": run.tolerance if n else settling}))
+        advance = simulation.advance(events).advance
+        n_missed += advance is not None and advance.flagged > 0 and n >= n_settle
+        if n + 1 == n_settle:
+            rest_state = prepare_state(simulation.state)
+        if n + 1 in needed:
+            positions.append(simulation.state.x.T.copy())
+            velocities.append(simulation.state.v.T.copy())
+    return SimulatedMotion(
+        frames=stored_frames,
+        x=np.array(positions),
+        v=np.array(velocities),
+        period=scene.period,
+        n_missed=n_missed,
+        n_settle_frames=n_settle,
+        rest_state=rest_state,
+    )
+
+
+def _needed_frames(recording: FitRecording, offsets: tuple[float, float]) -> NDArray[np.int64]:
+    """Return the frames around each cloud within the time offsets [frames], from the end of settling on."""
+    last = len(recording.events)
+    needed = np.zeros(last + 1, dtype=bool)
+    # A cloud with a positive offset is late: it shows an earlier frame.
+    for frame in recording.frames:
+        begin = int(np.clip(np.floor(frame - offsets[1]), recording.n_settle_frames, last))
+        end = int(np.clip(np.ceil(frame - offsets[0]), recording.n_settle_frames, last))
+        needed[begin : end + 1] = True
+    # Start and rest shape serve as yardstick.
+    needed[min(recording.n_settle_frames, last)] = True
+    return np.flatnonzero(needed)
+
+
+class TrajectoryPool:
+    """Process pool that simulates recordings; the results do not depend on the number of processes.
+
+    Args:
+        workers: number of processes; 1 uses this process, None starts one per core.
+    """
+
+    def __init__(self, workers: int | None = None) -> None:
+        self.workers = workers or len(os.sched_getaffinity(0))
+        #: Number of simulations so far.
+        self.n_runs = 0
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            # After an error, pending simulations are useless.
+            self._pool.shutdown(wait=kind is None, kill_workers=kind is not None)
+
+    def simulate(self, runs: Sequence[TrajectoryRun]) -> list[SimulatedMotion | str]:
+        """Return the trajectory of each run, or the text of its error.
+
+        Raises:
+            FitError: if a worker process was killed, or loky is not installed.
+        """
+        self.n_runs += len(runs)
+        if self.workers == 1 or len(runs) == 1:
+            return [_trajectory_or_error(run) for run in runs]
+        try:
+            from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
+        except ImportError as error:
+            remedy = "pip install 'cloth_sim_ros[batch]', or use --workers 1"
+            raise FitError(f"{self.workers} processes need loky: {remedy}") from error
+
+        try:
+            with safe_imports():
+                if self._pool is None:
+                    # The standard library's processes would run the user's program again at their start.
+                    self._pool = ProcessPoolExecutor(self.workers, initializer=_ignore_interrupt, env=overrides())
+                return list(self._pool.map(_trajectory_or_error, runs))
+        except BrokenProcessPool as error:
+            raise FitError("a worker process was killed, possibly out of memory; use --workers 1") from error
+
+
+def _trajectory_or_error(run: TrajectoryRun) -> SimulatedMotion | str:
+    try:
+        return simulate_trajectory(run)
+    except (ValueError, UnstableError) as error:
+        return str(error)
+
+
+def _ignore_interrupt() -> None:
+    # Ctrl-C reaches all processes. The parent process stops its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

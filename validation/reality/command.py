@@ -1,0 +1,34 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Command `reality`: the cloth against recordings of real cloth, and against synthetic copies of them, by part."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from validation.report import Report
+
+#: Names of the parts.
+PARTS = ("swings",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--part", choices=PARTS, default="swings", help="part (default: %(default)s)")
+    swings = parser.add_argument_group("swings: fits to a synthetic copy of a recorded set")
+    swings.add_argument("--fits", type=int, default=1, help="complete fits (default: %(default)s)")
+    linear = "fits that are linear about the true parameters; a second each (default: %(default)s)"
+    swings.add_argument("--linear", type=int, default=0, help=linear)
+    swings.add_argument("--motions", type=int, default=40, help="motions of the set (default: %(default)s)")
+    swings.add_argument("--first", type=int, default=0, help="seed of the first fit (default: %(default)s)")
+    record = "file of JSON lines: finished fits are read from it, new ones appended"
+    swings.add_argument("--record", type=Path, metavar="FILE", help=record)
+    swings.add_argument("--workers", type=int, help="processes (default: one per core)")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Run a part."""
+    from validation.reality import swings
+
+    return swings.run(options)

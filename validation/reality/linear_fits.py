@@ -1,0 +1,194 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fits of swings about the true parameters, and the best possible deviations.
+
+The residuals are linear in the parameters, with derivatives by simulations, and exact in time offset and camera pose.
+Noise model, weights and intervals are those of the program. Such a fit takes a second, a real one minutes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel, alignment_derivatives
+from cloth_sim_ros.fit.clusters import Covariance, jackknife_covariance
+from cloth_sim_ros.fit.hypotheses import pivot_of, selections
+from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point
+from cloth_sim_ros.fit.motions import TOLERANCE, align_all, replace_alignment
+from cloth_sim_ros.fit.noise import HUBER
+from cloth_sim_ros.fit.parameters import FitParameter, choose_parameters
+from cloth_sim_ros.fit.recorded import Recording
+from cloth_sim_ros.fit.recording import visible
+from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
+from cloth_sim_ros.fit.start import motion_recording
+from cloth_sim_ros.fit.trajectory import TrajectoryPool
+from cloth_sim_ros.physics.model.forces.force import Array
+from validation.reality import swing_samples as samples
+
+#: Difference step of the derivatives.
+_STEP = 0.03
+#: Iterations of a linear fit.
+_ITERATIONS = 5
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Linearized:
+    """Motions at the true parameters, and their derivatives at all particles and clouds."""
+
+    parameters: tuple[FitParameter, ...]
+    #: State of a problem with the complete, noise-free clouds.
+    point: Point
+    slopes: list[list[Array]]
+    """For each motion and parameter, the derivatives of all clouds [m], shape (clouds, particles, 3)."""
+
+
+def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter], pool: TrajectoryPool) -> JointProblem:
+    """Return the least-squares problem of recordings, with the right particles held."""
+    model = AlignmentModel(
+        n_recordings=len(recordings), time=SHARED, camera=SHARED, has_shift=True, pivot=pivot_of(recordings)
+    )
+    held = {"left": (0,), "right": (samples.RESOLUTION - 1,)}
+    scene = samples.swing_scene({})
+    prepared = [motion_recording(r, scene, selections(held), max_offset=model.max_offset) for r in recordings]
+    return JointProblem(
+        recordings=prepared,
+        used=[np.arange(len(r.clouds)) for r in recordings],
+        parameters=parameters,
+        alignment=model,
+        pool=pool,
+    )
+
+
+def linearize(exact: Sequence[Array], pool: TrajectoryPool) -> Linearized:
+    """Return the derivatives of the motions at the true parameters; `exact` are their frames."""
+    parameters = choose_parameters(samples.swing_scene({}), list(samples.TRUTH))
+    whole = [samples.complete_recording(k, frames) for k, frames in enumerate(exact)]
+    problem = prepare(whole, parameters, pool)
+    selected = range(len(whole))
+    problem.offsets = (samples.DELAY - 0.1, samples.DELAY + 0.1)
+    choose_rest_shapes(problem, problem.start, selected, TOLERANCE)
+    point = problem.evaluate(problem.start, np.zeros(problem.alignment.n_unknowns), selected, TOLERANCE)
+    if isinstance(point, str):
+        raise ValueError(point)
+    point = replace_alignment(problem, point, selected, align_all(problem, point, selected))
+    steps = np.full(len(parameters), _STEP)
+    derivatives = problem.differentiate(point, selected, steps, TOLERANCE, central=True)
+    slopes = [[np.array(by_cloud) for by_cloud in motion] for motion in derivatives.slopes]
+    return Linearized(parameters=tuple(parameters), point=point, slopes=slopes)
+
+
+def linear_fit(linearized: Linearized, exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> LinearFit:
+    """Return a fit to the clouds of one seed, linear in the parameters."""
+    recordings = [samples.record_motion(k, frames, seed) for k, frames in enumerate(exact)]
+    problem = prepare(recordings, linearized.parameters, pool)
+    selected, p = range(len(recordings)), len(linearized.parameters)
+    rows, slopes = [], []
+    for k, recording in enumerate(recordings):
+        stamps = np.rint(recording.times * samples.CLOUD_RATE).astype(np.int64)
+        seen = [visible(cloud) for cloud in recording.clouds]
+        rows.append((stamps, seen))
+        slopes.append(
+            [
+                [by_cloud[stamp][mask] for stamp, mask in zip(stamps, seen, strict=True)]
+                for by_cloud in linearized.slopes[k]
+            ]
+        )
+    derivatives = Derivatives(slopes=slopes, curvatures=[], steps=np.full(p, _STEP))
+    # Trajectories count frames from the start of their recording, which depends on its first cloud.
+    problem.recordings = [
+        attrs.evolve(recording, frames=recording.frames + original.times[0] * samples.FRAME_RATE)
+        for recording, original in zip(problem.recordings, recordings, strict=True)
+    ]
+    trajectories = linearized.point.trajectories
+    theta, eta = problem.start, linearized.point.eta.copy()
+    point = Point(theta=theta, eta=eta, trajectories=trajectories, residuals=[])
+    point = replace_alignment(problem, point, selected, align_all(problem, point, selected))
+    noise = problem.smooth_noise(point, selected, HUBER)
+    for _ in range(_ITERATIONS):
+        noise = problem.update_noise(noise, point, selected, 2)
+        equations = problem.normal_equations(point, derivatives, selected, noise)
+        information, gradient = problem.prior(point)
+        matrix = equations.information.sum(axis=0) + np.diag(information)
+        step = -np.linalg.solve(matrix, equations.gradient.sum(axis=0) + gradient)
+        theta, eta = point.theta + step[:p], point.eta + step[p:]
+        base = replace_alignment(problem, point, selected, eta).residuals
+        residuals = [
+            [
+                r + sum(change * slopes[k][i][c] for i, change in enumerate(theta - problem.start))
+                for c, r in enumerate(part)
+            ]
+            for k, part in enumerate(base)
+        ]
+        point = attrs.evolve(point, theta=theta, eta=eta, residuals=residuals)
+    solution = JointSolution(point=point, derivatives=derivatives, noise=noise, equations=equations, is_converged=True)
+    covariance = jackknife_covariance(problem, solution, selected)
+    return LinearFit(
+        errors=point.theta - problem.start,
+        covariance=covariance,
+        best=best_deviations(problem, solution, rows, seed),
+        naive=np.sqrt(np.diag(np.linalg.inv(matrix))[:p]),
+    )
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class LinearFit:
+    """Errors of a linear fit."""
+
+    #: Errors of the logarithms, shape (p,).
+    errors: Array
+    covariance: Covariance
+    #: Best possible standard deviations, shape (p,).
+    best: Array
+    #: Standard deviations if the noise model were right, shape (p,).
+    naive: Array
+
+    def reach(self, level: float) -> Array:
+        """Return the half width of the intervals of the logarithms, shape (p,)."""
+        from scipy.stats import t
+
+        return np.asarray(float(t.ppf(0.5 + 0.5 * level, self.covariance.freedom)) * self.covariance.deviations)
+
+
+def best_deviations(
+    problem: JointProblem,
+    solution: JointSolution,
+    rows: Sequence[tuple[NDArray[np.int64], Sequence[NDArray[np.bool_]]]],
+    seed: int,
+) -> Array:
+    """Return the Cramer-Rao bounds of the logarithms, with the true covariance of the camera's errors.
+
+    Args:
+        problem: recordings and unknowns.
+        solution: derivatives near the true values.
+        rows: for each motion, the index of each cloud among all clouds, and masks of its seen particles.
+        seed: seed of the camera.
+    """
+    p = len(problem.parameters)
+    prior, _ = problem.prior(solution.point)
+    prior[:p] *= 1e-6
+    total = np.diag(prior)
+    for k, (stamps, seen) in enumerate(rows):
+        kinds, places = problem.alignment.columns(k)
+        alignment = problem.alignment.alignment(solution.point.eta, k)
+        by_alignment = alignment_derivatives(
+            problem.recordings[k],
+            solution.point.trajectories[k],
+            alignment,
+            problem.pivot,
+            problem.used[k],
+            kinds.tolist(),
+        )
+        jacobian = np.array([np.concatenate(by) for by in (*solution.derivatives.slopes[k], *by_alignment)])
+        clouds = np.concatenate([np.full(int(m.sum()), stamp) for stamp, m in zip(stamps, seen, strict=True)])
+        particles = np.concatenate([np.flatnonzero(m) for m in seen])
+        covariance = samples.noise_covariance(clouds, particles, samples.noise_amplitudes(k, seed))
+        factor = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(factor, jacobian.transpose(1, 0, 2).reshape(len(clouds), -1))
+        white = white.reshape(len(clouds), len(jacobian), 3)
+        columns = np.concatenate([np.arange(p), p + places])
+        total[np.ix_(columns, columns)] += np.einsum("nia,nja->ij", white, white)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(total))[:p]))

@@ -1,0 +1,292 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Synthetic copy of a recorded set of swings: one cloth, many motions, a poor camera.
+
+The set: a cloth of 0.3 m that an arm holds at two corners, swung at up to 0.8 m/s. A camera sees it at 9 Hz. Its clouds
+are 0.32 s late and turned by 4 degrees. Two thirds of them are lost, the held corners are hidden. Its errors are
+correlated in space and time. They have the quantiles of the real camera: median 8.8, 95 % 29, rms 15 mm.
+"""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.alignment import rotation_of
+from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: Edge of the cloth [m], particles along it, and distance of the grippers relative to it.
+SIZE, RESOLUTION, NEARER = 0.3, 8, 1.0
+#: True values, as identified from the recorded set: normal drag over density is 2.3 1/s.
+TRUTH = {
+    "material.stretch_modulus": 400.0,
+    "material.shear_modulus": 118.0,
+    "material.bending_modulus": 2e-4,
+    "material.damping": 0.106,
+    "wind.normal_drag": 0.46,
+    "wind.tangential_drag": 0.1,
+}
+#: Rate of the clouds [Hz], of the poses [Hz] and of the simulation [Hz].
+CLOUD_RATE, POSE_RATE, FRAME_RATE = 9.0, 100.0, 60.0
+#: Duration of a motion, and its still beginning [s].
+DURATION, STILL = 2.1, 0.25
+#: Delay of the clouds [s]. Rotation of the camera about its place [degrees], its axis and its place [m].
+DELAY, TURN, AXIS, CAMERA = 0.32, 4.0, (0.6, 0.3, 0.74), (0.1, -1.0, 0.95)
+#: Fraction of lost clouds, and of hidden points of the others.
+LOSS_FRACTION, HIDDEN = 2.0 / 3.0, 0.1
+#: Root mean square of the camera's error [m]; its correlated part: share of the variance, length [m] and time [s].
+NOISE, CORRELATED, LENGTH, TIME = 0.015, 0.5, 0.1, 0.25
+#: Standard deviation of the logarithm of a cloud's error: it makes the median 8.8 mm of 15 mm.
+SPREAD = 0.64
+#: Largest speed of the grippers [m/s].
+SPEED = 0.8
+SETTLE = 6.0
+
+
+@attrs.frozen(kw_only=True)
+class Swings:
+    """Recorded motions and the truth behind them."""
+
+    recordings: tuple[Recording, ...]
+    #: Noise-free clouds of the camera before it lost any, for each motion: shape (clouds, particles, 3) [m].
+    exact: tuple[Array, ...]
+    #: True parameters by full name.
+    truth: dict[str, float]
+    #: Held particles, by gripper.
+    held: dict[str, tuple[int, ...]]
+
+
+def swing_scene(values: dict[str, float], *, resolution: int = RESOLUTION) -> Scene:
+    """Return the scene of the cloth with two grippers; `values` are by full name."""
+    return Scene.from_parameters(
+        {
+            "rate": FRAME_RATE,
+            "cloth.size": [SIZE, SIZE],
+            "cloth.resolution": [resolution, resolution],
+            "cloth.anchors": [""],
+            "grippers": ["left", "right"],
+            "gripper.radius": 0.01,
+            "bending.model": "crossed",
+            "material.density": 0.2,
+            "tolerance": 1e-5,
+            "work_limit": 0.0,
+            **TRUTH,
+            **values,
+        }
+    )
+
+
+def gripper_positions(index: int, times: Array, *, duration: float = DURATION) -> tuple[Array, Array]:
+    """Return the positions of the left and the right gripper of a motion, shape (times, 3) each [m].
+
+    An arm moves both by sines of random amplitudes and turns them by a few degrees. The swing starts and ends smoothly.
+    """
+    random = np.random.default_rng([39, index])
+    amplitudes = random.normal(size=(3, 3)) * np.array([0.5, 1.0, 0.5])[:, None]
+    frequencies, phases = random.uniform(0.4, 1.6, size=(3, 3)), random.uniform(0.0, 2.0 * np.pi, size=(3, 3))
+    turns = random.normal(scale=0.15, size=2)
+    grid = np.linspace(0.0, duration, 400)
+
+    def path(at: Array) -> Array:
+        t = np.clip(at - STILL, 0.0, None)
+        ramp = np.clip(t / 0.4, 0.0, 1.0)
+        ramp = ramp * ramp * (3.0 - 2.0 * ramp)
+        waves = amplitudes * np.sin(2.0 * np.pi * frequencies * t[:, None, None] + phases)
+        return ramp[:, None] * (waves - amplitudes * np.sin(phases)).sum(axis=2)
+
+    speed = np.linalg.norm(np.gradient(path(grid), grid, axis=0), axis=1).max()
+    factor = SPEED * random.uniform(0.5, 1.0) / speed
+    centre = factor * path(times) + np.array([0.0, 0.0, 1.0])
+    ramp = np.clip((times - STILL) / 1.0, 0.0, 1.0)
+    angle = turns[0] * ramp * np.sin(4.0 * (times - STILL)) + turns[1] * ramp**2
+    half = 0.5 * SIZE * NEARER
+    arm = np.stack([half * np.cos(angle), half * np.sin(angle), np.zeros(len(times))], axis=1)
+    return centre - arm, centre + arm
+
+
+def exact_motion(
+    index: int, values: dict[str, float], *, resolution: int = RESOLUTION, shown: int = RESOLUTION
+) -> Array:
+    """Return true positions of the shown particles at every frame of a motion [m], shape (frames, particles, 3).
+
+    Args:
+        index: index of the motion.
+        values: true parameters by full name.
+        resolution: particles along an edge of the true cloth.
+        shown: particles along an edge that the camera shows.
+    """
+    scene = swing_scene(values, resolution=resolution)
+    simulation = Simulation(scene)
+    n_settle, n = round(SETTLE * FRAME_RATE), round(DURATION * FRAME_RATE)
+    turn = (0.0, 0.0, 0.0, 1.0)
+    left, right = gripper_positions(index, np.arange(n + 1) / FRAME_RATE)
+    for k in range(n_settle):
+        events: list[Event] = []
+        if not k:
+            start = scene.initial_positions()
+            shift = (left[0] + right[0]) / 2.0 - (start[0] + start[resolution - 1]) / 2.0
+            simulation = Simulation(scene, _moved(simulation, shift))
+            events = [Target("left", start[0] + shift, turn), Target("right", start[resolution - 1] + shift, turn)]
+            events += [Grasp("left", True), Grasp("right", True)]
+            events.append(SetParameters({"air.drag": 6.0, "wind.velocity": [0.0, 1.5, 0.0]}))
+        else:
+            events = [Target("left", left[0], turn), Target("right", right[0], turn)]
+        if k == n_settle // 3:
+            events.append(SetParameters({"wind.velocity": [0.0, 0.0, 0.0]}))
+        simulation.advance(events)
+    step = (resolution - 1) // (shown - 1)
+    chosen = np.arange(resolution**2).reshape(resolution, resolution)[::step, ::step].ravel()
+    frames = [simulation.positions[chosen]]
+    for k in range(n):
+        events = [Target("left", left[k + 1], turn), Target("right", right[k + 1], turn)]
+        if not k:
+            events.append(SetParameters({"air.drag": scene.air.drag}))
+        simulation.advance(events)
+        frames.append(simulation.positions[chosen])
+    return np.array(frames)
+
+
+def camera_pose() -> tuple[Array, Array]:
+    """Return the rotation (3, 3) and the centre [m] of the camera's error."""
+    axis = np.array(AXIS) / np.linalg.norm(AXIS)
+    return rotation_of((np.deg2rad(TURN) * axis).tolist()), np.array(CAMERA)
+
+
+def record_motion(index: int, frames: Array, seed: int) -> Recording:
+    """Return the recording of a motion: late, turned, noisy and lossy clouds, and poses.
+
+    Args:
+        index: index of the motion.
+        frames: true positions at every frame [m].
+        seed: seed of the camera's errors and losses.
+    """
+    random = np.random.default_rng([seed, index])
+    times = cloud_times()
+    turn, centre = camera_pose()
+    exact = (show(frames, times) - centre) @ turn.T + centre
+    noise = camera_noise(times, random, noise_amplitudes(index, seed))
+    clouds = exact + noise
+    clouds[random.random(clouds.shape[:2]) < HIDDEN] = np.nan
+    clouds[:, [0, RESOLUTION - 1]] = np.nan
+    used = np.flatnonzero(random.random(len(times)) >= LOSS_FRACTION)
+    if len(used) < 3:
+        used = np.sort(random.permutation(len(times))[:3])
+    left, right = gripper_positions(index, _pose_times())
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(left), 1))
+    return Recording(
+        name=f"swing_{index:02d}",
+        times=times[used],
+        clouds=[clouds[k] for k in used],
+        grippers={
+            "left": RecordedGripper(times=_pose_times(), positions=left, quaternions=level),
+            "right": RecordedGripper(times=_pose_times(), positions=right, quaternions=level),
+        },
+    )
+
+
+def complete_recording(index: int, frames: Array) -> Recording:
+    """Return the recording of a motion by a perfect camera that is late and turned: all clouds and particles."""
+    turn, centre = camera_pose()
+    left, right = gripper_positions(index, _pose_times())
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(left), 1))
+    return Recording(
+        name=f"swing_{index:02d}",
+        times=cloud_times(),
+        clouds=(show(frames, cloud_times()) - centre) @ turn.T + centre,
+        grippers={
+            "left": RecordedGripper(times=_pose_times(), positions=left, quaternions=level),
+            "right": RecordedGripper(times=_pose_times(), positions=right, quaternions=level),
+        },
+    )
+
+
+def cloud_times() -> Array:
+    """Return the stamps of all clouds of a motion, also of the lost ones [s]."""
+    return np.arange(int(DURATION * CLOUD_RATE) + 1) / CLOUD_RATE
+
+
+def show(frames: Array, times: Array) -> Array:
+    """Return true positions at the stamps of late clouds [m], shape (times, particles, 3)."""
+    at = np.clip((times - DELAY) * FRAME_RATE, 0.0, len(frames) - 1.0)
+    below = np.minimum(np.floor(at).astype(int), len(frames) - 2)
+    fraction = (at - below)[:, None, None]
+    return np.asarray((1.0 - fraction) * frames[below] + fraction * frames[below + 1])
+
+
+def noise_factor() -> Array:
+    """Return a factor L of the covariance L L' of one coordinate of all particles at unit variance, (n, n)."""
+    u = np.linspace(0.0, SIZE, RESOLUTION)
+    x, y = (grid.ravel() for grid in np.meshgrid(u, u))
+    squares = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
+    smooth = np.exp(-0.5 * squares / LENGTH**2)
+    return np.asarray(np.linalg.cholesky(CORRELATED * smooth + 1e-9 * np.eye(len(x))))
+
+
+def noise_amplitudes(index: int, seed: int) -> Array:
+    """Return the relative size of each cloud's error, shape (clouds,)."""
+    random = np.random.default_rng([seed, index, 1])
+    return np.asarray(np.exp(SPREAD * random.normal(size=len(cloud_times())) - SPREAD**2))
+
+
+def noise_covariance(stamps: NDArray[np.int64], particles: NDArray[np.int64], amplitudes: Array) -> Array:
+    """Return the covariance of one coordinate of points [m²], shape (points, points).
+
+    Args:
+        stamps: index of each point's cloud among all clouds.
+        particles: particle of each point.
+        amplitudes: relative size of each cloud's error.
+    """
+    factor, times = noise_factor(), cloud_times()
+    space = (factor @ factor.T)[np.ix_(particles, particles)]
+    time = np.exp(-np.abs(times[stamps][:, None] - times[stamps]) / TIME)
+    white = (1.0 - CORRELATED) * np.eye(len(stamps))
+    sizes = NOISE / np.sqrt(3.0) * amplitudes[stamps]
+    return np.asarray(sizes[:, None] * (space * time + white) * sizes)
+
+
+def camera_noise(times: Array, random: np.random.Generator, amplitude: Array) -> Array:
+    """Return the camera's errors [m], shape (times, particles, 3), with a relative size for each cloud."""
+    factor, n = noise_factor(), RESOLUTION**2
+    smooth = random.normal(size=(len(times), n, 3))
+    decay = np.exp(-np.diff(times) / TIME)
+    for k, share in enumerate(decay, start=1):
+        smooth[k] = share * smooth[k - 1] + np.sqrt(1.0 - share**2) * smooth[k]
+    white = np.sqrt(1.0 - CORRELATED) * random.normal(size=smooth.shape)
+    return np.asarray(NOISE / np.sqrt(3.0) * amplitude[:, None, None] * (factor @ smooth + white))
+
+
+def record_swings(
+    n_motions: int, seed: int, *, values: dict[str, float] | None = None, frames: list[Array] | None = None
+) -> Swings:
+    """Return a set of recordings.
+
+    Args:
+        n_motions: number of motions.
+        seed: seed of the camera.
+        values: true parameters by full name; default: `TRUTH`.
+        frames: true positions of each motion, if they are known.
+    """
+    truth = {**TRUTH, **(values or {})}
+    frames = frames or [exact_motion(k, truth) for k in range(n_motions)]
+    return Swings(
+        recordings=tuple(record_motion(k, motion, seed) for k, motion in enumerate(frames)),
+        exact=tuple(frames),
+        truth=truth,
+        held={"left": (0,), "right": (RESOLUTION - 1,)},
+    )
+
+
+def _pose_times() -> Array:
+    return np.arange(-0.3, DURATION + 0.1, 1.0 / POSE_RATE)
+
+
+def _moved(simulation: Simulation, shift: Array) -> State:
+    state = simulation.state.copy()
+    state.x += shift[:, None]
+    return state

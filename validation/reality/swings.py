@@ -1,0 +1,199 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fits to a synthetic copy of a recorded set of swings: errors, coverage, widths and held particles.
+
+A complete fit searches from starting values within a factor of 1.5, and finds held particles, time offset and camera
+pose itself. Complete fits draw true parameters about `TRUTH`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros.fit.real import fit_real
+from cloth_sim_ros.fit.trajectory import TrajectoryPool
+from validation.reality import swing_samples as samples
+from validation.reality.linear_fits import linear_fit, linearize
+from validation.report import Report, Table, print_progress
+
+#: Largest ratio of a starting value to the true one, and spread of the logarithms of the true values about `TRUTH`.
+START_FACTOR, TRUTH_SPREAD = 1.5, 0.15
+#: Level of the examined intervals, largest relative error of an identified parameter, and longest time of a fit [s].
+LEVEL, MAX_ERROR, MAX_SECONDS = 0.9, 0.05, 600.0
+#: Limits of the covered fraction, least number of fits that they apply to, and largest mean ratio of the widths.
+MIN_COVERAGE, MAX_COVERAGE, MIN_FITS, MAX_WIDTH_RATIO = 0.85, 0.95, 50, 1.5
+
+
+def complete_fit(seed: int, n_motions: int, workers: int | None) -> dict[str, Any]:
+    """Return the result of one complete fit."""
+    random = np.random.default_rng([seed, 40])
+    truth = {name: value * float(np.exp(TRUTH_SPREAD * random.normal())) for name, value in samples.TRUTH.items()}
+    swings = samples.record_swings(n_motions, seed, values=truth)
+    start = {name: value * START_FACTOR ** float(random.uniform(-1.0, 1.0)) for name, value in truth.items()}
+    begin = time.perf_counter()
+    fit = fit_real(swings.recordings, samples.swing_scene(start), list(truth), workers=workers)
+    seconds = time.perf_counter() - begin
+    chosen = {} if fit.grasp is None else dict(fit.grasp.best.particles)
+    first = fit.alignments[0]
+    return {
+        "seed": seed,
+        "motions": n_motions,
+        "seconds": seconds,
+        "runs": fit.n_runs,
+        "doubt": fit.doubt,
+        "is_right_grasp": chosen == swings.held,
+        "is_tie": fit.grasp is not None and fit.grasp.is_tie,
+        "offset": first.offset,
+        "angle": float(np.degrees(first.angle)),
+        "rms": {
+            name: None if entry is None else 1e3 * entry.rms
+            for name, entry in (("held_out", fit.held_out), ("rigid", fit.rigid), ("floor", fit.floor))
+        },
+        "parameters": {
+            e.parameter.name: {
+                "error": e.value / truth[e.parameter.name] - 1.0,
+                "bound": e.bound,
+                "identified": e.is_identified,
+                "covered": e.interval_at(LEVEL)[0] <= truth[e.parameter.name] <= e.interval_at(LEVEL)[1],
+            }
+            for e in fit.estimates
+        },
+    }
+
+
+def recorded_fits(file: Path | None, n_motions: int) -> dict[int, dict[str, Any]]:
+    """Return the finished fits of a file by seed."""
+    fits = {}
+    for line in file.read_text().splitlines() if file is not None and file.exists() else []:
+        try:
+            entry = json.loads(line)
+        except json.JSONDecodeError:
+            # The last line of an interrupted command.
+            continue
+        if entry["motions"] == n_motions:
+            fits[entry["seed"]] = entry
+    return fits
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Run complete and linear fits."""
+    if options.motions < 5:
+        raise ValueError(f"--motions is {options.motions}; intervals take 5 or more")
+    report = Report("Swings of a cloth with known parameters", _command(options))
+    if options.fits:
+        _report_complete(report, options)
+    if options.linear:
+        _report_linear(report, options)
+    return report
+
+
+def _command(options: argparse.Namespace) -> str:
+    words = f"python -m validation reality --part swings --fits {options.fits} --motions {options.motions}"
+    return words + (f" --linear {options.linear}" if options.linear else "")
+
+
+def _report_complete(report: Report, options: argparse.Namespace) -> None:
+    fits = recorded_fits(options.record, options.motions)
+    entries = []
+    for seed in range(options.first, options.first + options.fits):
+        if seed not in fits:
+            fits[seed] = complete_fit(seed, options.motions, options.workers)
+            if options.record is not None:
+                with options.record.open("a") as stream:
+                    stream.write(json.dumps(fits[seed]) + "\n")
+        entries.append(fits[seed])
+        print_progress(f"fit {seed}: {fits[seed]['seconds']:.0f} s, {fits[seed]['runs']} simulations")
+    columns = ["parameter", "identified", "largest error of these %", "rms error %", "mean bound %", "covered"]
+    table = Table(f"{len(entries)} complete fits to {options.motions} motions", columns)
+    for name in samples.TRUTH:
+        rows = [entry["parameters"][name] for entry in entries]
+        identified = [row for row in rows if row["identified"]]
+        largest = max((abs(row["error"]) for row in identified), default=float("nan"))
+        errors = [row["error"] for row in rows]
+        table.rows.append(
+            [
+                name,
+                len(identified),
+                100 * largest,
+                100 * float(np.sqrt(np.mean(np.square(errors)))),
+                100 * float(np.mean([row["bound"] for row in rows])),
+                sum(row["covered"] for row in rows),
+            ]
+        )
+        if identified and largest > MAX_ERROR:
+            report.fail(f"{name} is identified with an error of {100 * largest:.1f} %")
+    report.tables.append(table)
+    fit_columns = ["fit", "seconds", "simulations", "right particles", "offset s", "angle deg"]
+    fit_table = Table("Fits", [*fit_columns, "left out one mm", "rigid mm", "floor mm", "doubt"])
+    for entry in entries:
+        numbers = [
+            entry["seed"],
+            entry["seconds"],
+            entry["runs"],
+            entry["is_right_grasp"],
+            entry["offset"],
+            entry["angle"],
+        ]
+        fit_table.rows.append(
+            [*numbers, *(entry["rms"][name] for name in ("held_out", "rigid", "floor")), entry["doubt"]]
+        )
+    report.tables.append(fit_table)
+    wrong = [entry["seed"] for entry in entries if not entry["is_right_grasp"] and not entry["is_tie"]]
+    if wrong:
+        report.fail(f"fits {wrong} hold wrong particles")
+    longest = max(entry["seconds"] for entry in entries)
+    if longest > MAX_SECONDS:
+        report.fail(f"the longest fit took {longest:.0f} s")
+    _check_coverage(
+        report, "complete", [row["covered"] for e in entries for row in e["parameters"].values()], len(entries)
+    )
+
+
+def _report_linear(report: Report, options: argparse.Namespace) -> None:
+    exact = [samples.exact_motion(k, samples.TRUTH) for k in range(options.motions)]
+    with TrajectoryPool(options.workers) as pool:
+        linearized = linearize(exact, pool)
+        fits = [
+            linear_fit(linearized, exact, seed, pool) for seed in range(options.first, options.first + options.linear)
+        ]
+    report.tables.append(linear_table(fits, options.motions))
+    covered = [bool(c) for fit in fits for c in np.abs(fit.errors) <= fit.reach(LEVEL)]
+    _check_coverage(report, "linear", covered, len(fits))
+    ratio = float(np.mean([fit.covariance.deviations / fit.best for fit in fits]))
+    report.note(f"mean width of linear fits over the best possible: {ratio:.2f}")
+    if ratio > MAX_WIDTH_RATIO:
+        report.fail(f"intervals are {ratio:.2f} times as wide as the best possible")
+
+
+def linear_table(fits: list[Any], n_motions: int) -> Table:
+    """Return the table of linear fits."""
+    columns = ["parameter", "rms error %", "mean bound %", "best possible %", "width over best", "covered"]
+    table = Table(f"{len(fits)} linear fits to {n_motions} motions", columns)
+    for i, name in enumerate(samples.TRUTH):
+        errors, bounds = [fit.errors[i] for fit in fits], [fit.covariance.deviations[i] for fit in fits]
+        best = [fit.best[i] for fit in fits]
+        covered = sum(bool(abs(fit.errors[i]) <= fit.reach(LEVEL)[i]) for fit in fits)
+        table.rows.append(
+            [
+                name,
+                100 * float(np.sqrt(np.mean(np.square(errors)))),
+                100 * float(np.mean(bounds)),
+                100 * float(np.mean(best)),
+                float(np.mean(np.array(bounds) / np.array(best))),
+                covered,
+            ]
+        )
+    return table
+
+
+def _check_coverage(report: Report, kind: str, covered: list[bool], n_fits: int) -> None:
+    fraction = float(np.mean(covered))
+    report.note(f"{100 * fraction:.1f} % of {len(covered)} {100 * LEVEL:.0f} % intervals of {kind} fits hold the truth")
+    if n_fits >= MIN_FITS and not MIN_COVERAGE <= fraction <= MAX_COVERAGE:
+        report.fail(f"{100 * fraction:.1f} % of the intervals of {kind} fits hold the truth")
