@@ -1,16 +1,17 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of a real cloth's MCAP: clouds and gripper poses."""
+"""Reader of a real cloth's recording: clouds and gripper poses in a bag, or in tables."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.fit import message_fields, tables
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
 from cloth_sim_ros.fit.recording import FitRecording, visible
@@ -77,55 +78,103 @@ def read_recording(
     topic: str | None = None,
     poses: Mapping[str, str] | None = None,
     matched: bool = True,
+    index_field: str = "",
+    columns: Mapping[str, str] | None = None,
+    scale: float = 1.0,
 ) -> Recording:
     """Read clouds and gripper poses; times count from the first cloud.
 
     Args:
-        paths: MCAP files of one recording, with messages in CDR.
+        paths: files or folder of one bag (MCAP, SQLite, ROS 1), or one table (CSV, npz).
         scene: names the grippers, the frame and the particles.
-        topic: topic of the clouds; required if several topics have clouds.
-        poses: topic of PoseStamped by gripper; default: the one whose name ends in /GRIPPER/target or /GRIPPER/pose.
+        topic: topic of the clouds; required if several topics have clouds. `TOPIC:FIELD` for messages of any type, see
+            `message_fields`.
+        poses: poses by gripper: a topic, `TOPIC:FIELD`, or a table (CSV). Default: the topic of PoseStamped whose name
+            ends in /GRIPPER/target or /GRIPPER/pose.
         matched: true if points are particles, in order or by an index field; false if they are bare surface points.
+        index_field: field with the particles' numbers, beside FIELD of `topic`.
+        columns: names in a table, see `tables.read_clouds`.
+        scale: factor from the unit of tables to metres.
 
     Raises:
         FitError: if the recording is unusable; the text names cause and remedy.
     """
-    messages_by_topic = _read_messages(paths)
-    cloud_topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD]
-    cloud_topic = _select_topic(cloud_topics, topic, "clouds (PointCloud2)", "--topic NAME")
     unknown = [name for name in poses or {} if name not in scene.gripper_names]
     if unknown:
         grippers = ", ".join(scene.gripper_names) or "none"
         raise FitError(f"--pose names '{unknown[0]}'; the scene's grippers are {grippers}")
     count = len(scene.initial_positions())
-    cloud_messages = messages_by_topic[cloud_topic][1]
-    clouds = [_read_cloud(data, time, scene, count, matched) for time, data in cloud_messages]
-    if not clouds:
-        raise FitError(f"{paths[0]} holds no cloud on {cloud_topic}")
-    clouds.sort(key=lambda entry: entry[0])
-    start = clouds[0][0]
-    distinct = [entry for k, entry in enumerate(clouds) if not k or entry[0] > clouds[k - 1][0]]
+    sources = {name: dict(poses or {}).get(name) for name in scene.gripper_names}
+    if any(tables.is_table(path) for path in paths):
+        if len(paths) > 1:
+            raise FitError(f"{paths[1]}: a table is one recording; give its files one by one")
+        times, clouds = tables.read_clouds(paths[0], count, columns=columns, scale=scale, matched=matched)
+        tracks = {name: _read_table_track(name, source, float(times[0]), scale) for name, source in sources.items()}
+        return Recording(
+            name=paths[0].name, times=times - times[0], clouds=tuple(clouds), grippers=tracks, matched=matched
+        )
+    messages_by_topic = _read_messages(paths)
+    cloud_name, field = message_fields.split_topic(topic) if topic is not None else (None, "")
+    if cloud_name is not None and field:
+        stamped = list(_read_fields(paths, cloud_name, field, index_field, count, matched))
+    else:
+        cloud_topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD]
+        cloud_name = _select_topic(cloud_topics, cloud_name, "clouds (PointCloud2)", "--topic NAME")
+        stamped = [_read_cloud(data, time, scene, count, matched) for time, data in messages_by_topic[cloud_name][1]]
+    if not stamped:
+        raise FitError(f"{paths[0]} holds no cloud on {cloud_name}")
+    stamped.sort(key=lambda entry: entry[0])
+    start = stamped[0][0]
+    distinct = [entry for k, entry in enumerate(stamped) if not k or entry[0] > stamped[k - 1][0]]
     return Recording(
         name=", ".join(Path(path).name for path in paths),
         times=np.array([stamp - start for stamp, _ in distinct], dtype=np.int64) * 1e-9,
         clouds=tuple(cloud for _, cloud in distinct),
         grippers={
-            name: _read_track(messages_by_topic, name, dict(poses or {}).get(name), start)
-            for name in scene.gripper_names
+            name: _read_track(paths, messages_by_topic, name, source, start, scale) for name, source in sources.items()
         },
         matched=matched,
     )
 
 
+def _read_table_track(gripper: str, source: str | None, start: float, scale: float) -> RecordedGripper:
+    if source is None:
+        raise FitError(f"the poses of gripper '{gripper}' are missing; give --pose {gripper}=poses.csv")
+    return tables.read_track(Path(source), start, scale=scale)
+
+
+def _read_fields(
+    paths: Sequence[Path], topic: str, field: str, index_field: str, count: int, matched: bool
+) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Yield stamp [ns] and points [m] of each message of a topic, by the names of its fields."""
+    if index_field:
+        message_fields.check_field(index_field)
+    for log_time, message in message_fields.topic_messages(paths, topic):
+        points = message_fields.points_of(message, field)
+        if not matched:
+            points = points[visible(points)]
+        elif index_field:
+            indices = message_fields.indices_of(message, index_field)
+            if len(indices) != len(points):
+                raise FitError(f"field '{index_field}' has {len(indices)} numbers for {len(points)} points")
+            wrong = [index for index in indices if not 0 <= index < count]
+            if wrong:
+                raise FitError(f"field '{index_field}' names particle {wrong[0]}; there are {count}, from index 0")
+            ordered = np.full((count, 3), np.nan)
+            ordered[indices] = points
+            points = ordered
+        yield message_fields.stamp_of(message, log_time), points
+
+
 def _read_messages(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
     """Read the messages of clouds, poses and grasps: for each topic, the type, log times [ns] and bytes."""
-    from cloth_sim_ros.session.bag import bag_messages
+    from cloth_sim_ros.session.bag import bag_files, bag_messages
     from cloth_sim_ros.session.errors import DamagedSessionError
 
     messages_by_topic: dict[str, tuple[str, list[tuple[int, bytes]]]] = {}
-    for path in paths:
+    for file in itertools.chain.from_iterable(map(bag_files, paths)):
         try:
-            for topic, kind, time, data in bag_messages(path):
+            for topic, kind, time, data in bag_messages(file):
                 if kind in (_CLOUD, _POSE, _BOOL):
                     messages_by_topic.setdefault(topic, (kind, []))[1].append((time, data))
         except DamagedSessionError as error:
@@ -145,28 +194,20 @@ def _select_topic(topics: Sequence[str], requested: str | None, description: str
 
 
 def _read_track(
+    paths: Sequence[Path],
     messages_by_topic: Mapping[str, tuple[str, list[tuple[int, bytes]]]],
     gripper: str,
     requested: str | None,
     start: int,
+    scale: float,
 ) -> RecordedGripper:
     """Return the poses and grasps of a gripper; times count from a stamp [ns]."""
+    if requested is not None and tables.is_table(Path(requested)):
+        return tables.read_track(Path(requested), 1e-9 * start, scale=scale)
     from cloth_sim_ros.session.cdr import decode
 
-    topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _POSE]
-    if requested is None:
-        matching = [name for name in topics if name.endswith((f"/{gripper}/target", f"/{gripper}/pose"))]
-        topics = matching or topics
-    topic = _select_topic(topics, requested, f"poses of gripper '{gripper}' (PoseStamped)", f"--pose {gripper}=TOPIC")
-    stamps, poses = list[int](), list[list[float]]()
-    for time, data in messages_by_topic[topic][1]:
-        message = decode(data, _POSE)
-        p, q = message.pose.position, message.pose.orientation
-        pose = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
-        if not np.isfinite(pose).all() or not any(pose[3:]):
-            raise FitError(f"a pose on {topic} is {pose}; it must be finite, with a unit quaternion")
-        stamps.append(_stamp(message.header) or time)
-        poses.append(pose)
+    stamped_poses = list(_read_poses(paths, messages_by_topic, gripper, requested))
+    stamps, poses = [stamp for stamp, _ in stamped_poses], [pose for _, pose in stamped_poses]
     grasps = [
         (1e-9 * (time - start), bool(decode(data, _BOOL).data))
         for name, (kind, messages) in messages_by_topic.items()
@@ -181,6 +222,33 @@ def _read_track(
         quaternions=sorted_poses[:, 3:],
         grasps=tuple(grasps),
     )
+
+
+def _read_poses(
+    paths: Sequence[Path],
+    messages_by_topic: Mapping[str, tuple[str, list[tuple[int, bytes]]]],
+    gripper: str,
+    requested: str | None,
+) -> Iterator[tuple[int, list[float]]]:
+    """Yield stamp [ns], position [m] and quaternion of each pose of a gripper."""
+    from cloth_sim_ros.session.cdr import decode
+
+    topic, field = message_fields.split_topic(requested) if requested is not None else (None, "")
+    if topic is not None and field:
+        messages = message_fields.topic_messages(paths, topic)
+    else:
+        topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _POSE]
+        if topic is None:
+            matching = [name for name in topics if name.endswith((f"/{gripper}/target", f"/{gripper}/pose"))]
+            topics = matching or topics
+        remedy = f"--pose {gripper}=TOPIC"
+        topic = _select_topic(topics, topic, f"poses of gripper '{gripper}' (PoseStamped)", remedy)
+        messages = ((time, decode(data, _POSE)) for time, data in messages_by_topic[topic][1])
+    for time, message in messages:
+        pose = message_fields.pose_of(message, field)
+        if not np.isfinite(pose).all() or not any(pose[3:]):
+            raise FitError(f"a pose on {topic} is {pose}; it must be finite, with a unit quaternion")
+        yield message_fields.stamp_of(message, time), pose
 
 
 def _read_cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> tuple[int, NDArray[np.float64]]:
@@ -213,7 +281,3 @@ def _read_cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool)
     ordered = np.full((count, 3), np.nan)
     ordered[indices.astype(np.int64)] = points
     return cloud.stamp or time, ordered
-
-
-def _stamp(header: Any) -> int:
-    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)

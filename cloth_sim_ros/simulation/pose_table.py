@@ -35,6 +35,15 @@ def read(path: str | Path, *, gripper: str = "gripper") -> GripperScript:
     Raises:
         ScriptError: naming the file, the line and the fault.
     """
+    return read_stamped(path, gripper=gripper)[1]
+
+
+def read_stamped(path: str | Path, *, gripper: str = "gripper") -> tuple[float, GripperScript]:
+    """Return the time of the first pose by the clock of the table [s], and the script, which begins there.
+
+    Raises:
+        ScriptError: as `read`.
+    """
     try:
         lines = input_file.read_text(path, max_bytes=_MAX_BYTES).splitlines()
     except (OSError, ValueError) as error:
@@ -45,7 +54,7 @@ def read(path: str | Path, *, gripper: str = "gripper") -> GripperScript:
         raise ScriptError(f"{path}: {error}") from error
 
 
-def _script(lines: Sequence[str], gripper: str) -> GripperScript:
+def _script(lines: Sequence[str], gripper: str) -> tuple[float, GripperScript]:
     reader = csv.reader(lines, skipinitialspace=True)
     rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
     if not rows:
@@ -85,7 +94,8 @@ def _script(lines: Sequence[str], gripper: str) -> GripperScript:
     if len(frames) > 1:
         raise ScriptError(f"the poses are in several frames: {', '.join(sorted(frames))}; transform them into one")
     (frame_id,) = frames
-    return GripperScript.from_poses(times, poses, gripper=gripper, closed=closed or True, frame_id=frame_id)
+    script = GripperScript.from_poses(times, poses, gripper=gripper, closed=closed or True, frame_id=frame_id)
+    return first_second + times[0], script
 
 
 def _check_columns(columns: Sequence[str]) -> None:

@@ -1,0 +1,173 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Points and poses in messages of any type, by the names of their fields.
+
+A field is written as `markers[].pose.position`: attributes after dots, and `[]` for each element of an array.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.session.errors import SessionError
+
+_FIELD = re.compile(r"[A-Za-z_]\w*(\[\])?(\.[A-Za-z_]\w*(\[\])?)*")
+#: Names of a pose's position and orientation: of geometry_msgs/Pose and of geometry_msgs/Transform.
+_POSE_FIELDS = (("position", "orientation"), ("translation", "rotation"))
+
+
+def split_topic(text: str) -> tuple[str, str]:
+    """Return the topic and the field of `TOPIC:FIELD`; the field is empty for a topic alone.
+
+    Raises:
+        FitError: for a field that is not written so.
+    """
+    topic, colon, field = text.partition(":")
+    if colon:
+        check_field(field)
+    return topic, field
+
+
+def check_field(field: str) -> None:
+    """Refuse a text that is no field.
+
+    Raises:
+        FitError: naming the form.
+    """
+    if not _FIELD.fullmatch(field):
+        raise FitError(f"'{field}' is no field of a message; write it as markers[].pose.position")
+
+
+def topic_messages(paths: Sequence[Path], topic: str) -> Iterator[tuple[int, Any]]:
+    """Yield log time [ns] and message of a topic, decoded by the definitions in the bag.
+
+    Args:
+        paths: files of one bag of ROS 1 or ROS 2, or its folder.
+        topic: name of the topic.
+
+    Raises:
+        SessionError: if a file can't be read, or a definition is missing.
+        FitError: for a topic that is not in the bag.
+    """
+    from cloth_sim_ros.session.channel_description import standard_types
+
+    try:
+        from rosbags.highlevel import AnyReader
+    except ImportError as error:
+        raise SessionError(f"{paths[0]} needs {error.name}, which is not installed: pip install rosbags") from error
+    for path in paths:
+        try:
+            with AnyReader([path], default_typestore=standard_types()) as reader:
+                connections = [entry for entry in reader.connections if entry.topic == topic]
+                if not connections:
+                    topics = ", ".join(sorted({entry.topic for entry in reader.connections})) or "none"
+                    raise FitError(f"{path} has no topic '{topic}'; it has {topics}")
+                for connection, log_time, data in reader.messages(connections):
+                    yield log_time, reader.deserialize(data, connection.msgtype)
+        except (FitError, GeneratorExit):
+            raise
+        except Exception as error:  # Errors of several libraries.
+            raise SessionError(f"{path} can't be read as a bag: {error}") from error
+
+
+def select(message: Any, field: str) -> list[Any]:
+    """Return the values of a field, one for each element of its arrays.
+
+    Raises:
+        FitError: if the message has no such field.
+    """
+    values = [message]
+    for part in field.split("."):
+        name = part.removesuffix("[]")
+        for value in values:
+            if not hasattr(value, name):
+                known = (
+                    ", ".join(key for key in vars(value) if not key.startswith("_"))
+                    if hasattr(value, "__dict__")
+                    else ""
+                )
+                raise FitError(f"field '{field}': there is no '{name}'; there are {known or 'no further fields'}")
+        values = [getattr(value, name) for value in values]
+        if part != name:
+            values = [element for value in values for element in _elements(value, field)]
+    return values
+
+
+def _elements(value: Any, field: str) -> list[Any]:
+    if isinstance(value, str) or not isinstance(value, Sequence | np.ndarray):
+        raise FitError(f"field '{field}': [] stands after a value that is no array")
+    return list(value)
+
+
+def points_of(message: Any, field: str) -> Array:
+    """Return the points of a field [m], shape (count, 3).
+
+    Its values are objects with x, y and z, or arrays of numbers, three for each point.
+
+    Raises:
+        FitError: if the field has no points.
+    """
+    rows: list[list[float]] = []
+    for value in select(message, field):
+        if all(hasattr(value, axis) for axis in "xyz"):
+            rows.append([float(value.x), float(value.y), float(value.z)])
+            continue
+        try:
+            numbers = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise FitError(f"field '{field}' holds {type(value).__name__}, and no points: {error}") from error
+        if numbers.ndim != 1 or numbers.size % 3:
+            raise FitError(f"field '{field}' holds {numbers.size} numbers; each point has three")
+        rows += numbers.reshape(-1, 3).tolist()
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def indices_of(message: Any, field: str) -> list[int]:
+    """Return the particle numbers of a field.
+
+    Raises:
+        FitError: if the field has no whole numbers.
+    """
+    values = select(message, field)
+    flat = [entry for value in values for entry in (value.tolist() if isinstance(value, np.ndarray) else [value])]
+    try:
+        particles = [int(entry) for entry in flat]
+    except (TypeError, ValueError) as error:
+        raise FitError(f"field '{field}' holds no particle numbers: {error}") from error
+    if particles != flat:
+        raise FitError(f"field '{field}' holds numbers that are not whole")
+    return particles
+
+
+def pose_of(message: Any, field: str) -> list[float]:
+    """Return position [m] and quaternion x, y, z, w of a field; a point alone has no rotation.
+
+    Raises:
+        FitError: if the field is no pose.
+    """
+    values = select(message, field) if field else [message]
+    if len(values) != 1:
+        raise FitError(f"field '{field}' has {len(values)} values; a gripper has one pose")
+    value = values[0]
+    for wrapped in ("pose", "transform"):
+        value = getattr(value, wrapped, value)
+    for first, second in _POSE_FIELDS:
+        if hasattr(value, first) and hasattr(value, second):
+            p, q = getattr(value, first), getattr(value, second)
+            return [float(entry) for entry in (p.x, p.y, p.z, q.x, q.y, q.z, q.w)]
+    if all(hasattr(value, axis) for axis in "xyz"):
+        return [float(value.x), float(value.y), float(value.z), 0.0, 0.0, 0.0, 1.0]
+    raise FitError(f"field '{field}' holds {type(value).__name__}; a pose has position and orientation")
+
+
+def stamp_of(message: Any, log_time: int) -> int:
+    """Return the stamp of a message's header [ns]; the log time if it has none."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return (int(stamp.sec) * 10**9 + int(stamp.nanosec) if stamp is not None else 0) or log_time

@@ -1,0 +1,222 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds and gripper poses in tables: CSV, and arrays of numpy (npz)."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.recorded import RecordedGripper
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.scene import input_file
+
+#: Endings of the files.
+ENDINGS = (".csv", ".npz")
+#: Largest table [bytes].
+_MAX_BYTES = 1 << 30
+_AXES = ("x", "y", "z")
+#: Names of the columns of a table, and of the arrays of an npz file, that `--columns` may rename.
+_COLUMNS, _ARRAYS = ("time", "particle", *_AXES), ("times", "points")
+
+
+def is_table(path: Path) -> bool:
+    """Return True for a file of clouds that is a table, by its ending."""
+    return path.suffix.lower() in ENDINGS
+
+
+def parse_columns(text: str) -> dict[str, str]:
+    """Return the names of `--columns time=t,x=X,...`.
+
+    Raises:
+        FitError: for another form, or an unknown name.
+    """
+    names: dict[str, str] = {}
+    for entry in filter(None, (part.strip() for part in text.split(","))):
+        name, equals, column = (part.strip() for part in entry.partition("="))
+        if not equals or not column:
+            raise FitError(f"--columns has '{entry}'; write it as time=t,particle=id,x=X,y=Y,z=Z")
+        if name not in (*_COLUMNS, *_ARRAYS):
+            raise FitError(f"--columns has the unknown name '{name}'; known are {', '.join((*_COLUMNS, *_ARRAYS))}")
+        names[name] = column
+    return names
+
+
+def read_clouds(
+    path: Path, count: int, *, columns: Mapping[str, str] | None = None, scale: float = 1.0, matched: bool = True
+) -> tuple[NDArray[np.float64], list[Array]]:
+    """Return times [s], ascending, and the clouds of a table.
+
+    An npz file holds `times`, shape (clouds,), and `points`, shape (clouds, points, 3), NaN for hidden points. A CSV
+    has a line for each point: `time`, `particle`, `x`, `y`, `z`. Alternatively it has a line for each cloud, with
+    columns such as `x0`, `y0`, `z0`, `x1`. `columns` renames them: `x=m{}_x` for columns `m0_x`, `m1_x`.
+
+    Args:
+        path: the file.
+        count: number of particles.
+        columns: names in the file, by the names above.
+        scale: factor from the table's unit to metres.
+        matched: true if a point is a particle; false for bare points, which need no column `particle`.
+
+    Raises:
+        FitError: naming file, line and fault.
+    """
+    try:
+        content = input_file.read_bytes(path, max_bytes=_MAX_BYTES)
+        read = _read_arrays if path.suffix.lower() == ".npz" else _read_csv
+        times, clouds = read(content, count, dict(columns or {}), matched)
+    except (OSError, ValueError, csv.Error) as error:
+        raise FitError(f"{path}: {error}") from error
+    order = np.argsort(times, kind="stable")
+    return times[order], [scale * clouds[k] for k in order]
+
+
+def read_track(path: Path, start: float, *, scale: float = 1.0) -> RecordedGripper:
+    """Return the poses of a gripper from a table (CSV), whose unit is `scale` metres.
+
+    Times count from `start`, a time of the table's clock [s].
+
+    Its columns are those of `cloth_gripper`: `time`, `x`, `y`, `z`, and optionally `qx`, `qy`, `qz`, `qw`, `closed`.
+
+    Raises:
+        FitError: naming file, line and fault.
+    """
+    from cloth_sim_ros.simulation import pose_table
+    from cloth_sim_ros.simulation.gripper_script import ScriptError
+
+    try:
+        begin, script = pose_table.read_stamped(path)
+    except ScriptError as error:
+        raise FitError(str(error)) from error
+    offset = begin - start
+    grasps = [(grasp.time + offset, grasp.closed) for grasp in script.grasps]
+    # A gripper whose table does not say so is closed all the time.
+    return RecordedGripper(
+        times=np.array([entry.time for entry in script.waypoints]) + offset,
+        positions=scale * np.array([entry.position for entry in script.waypoints]),
+        quaternions=[entry.orientation for entry in script.waypoints],
+        grasps=() if len(grasps) == 1 and grasps[0][1] else tuple(grasps),
+    )
+
+
+def _read_arrays(
+    content: bytes, count: int, columns: Mapping[str, str], matched: bool
+) -> tuple[NDArray[np.float64], list[Array]]:
+    import io
+    import zipfile
+
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = {}
+            for name in _ARRAYS:
+                key = columns.get(name, name)
+                if key not in file:
+                    raise FitError(f"there is no array '{key}'; there are {', '.join(file.files) or 'none'}")
+                arrays[name] = np.asarray(file[key], dtype=np.float64)
+    except (zipfile.BadZipFile, EOFError) as error:
+        raise FitError(f"is no npz file: {error}") from error
+    times, points = arrays["times"], arrays["points"]
+    if times.ndim != 1 or points.shape != (len(times), *points.shape[1:2], 3):
+        raise FitError(
+            f"times have the shape {times.shape} and points {points.shape}; they must be (clouds,) and "
+            "(clouds, points, 3)"
+        )
+    if matched and points.shape[1] != count:
+        raise FitError(f"points have {points.shape[1]} particles; the scene has {count}")
+    return times, [points[k] if matched else points[k][np.isfinite(points[k]).all(axis=1)] for k in range(len(times))]
+
+
+def _read_csv(
+    content: bytes, count: int, columns: Mapping[str, str], matched: bool
+) -> tuple[NDArray[np.float64], list[Array]]:
+    try:
+        lines = content.decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise FitError(f"is no text in UTF-8: {error}") from error
+    reader = csv.reader(lines, skipinitialspace=True)
+    header = [name.strip() for name in next(reader, [])]
+    names = {name: columns.get(name, name) for name in _COLUMNS}
+    if names["time"] not in header:
+        raise FitError(f"there is no column '{names['time']}'; there are {', '.join(header) or 'none'}")
+    wide = _wide_columns(header, names) if names["x"] not in header else {}
+    if not wide:
+        needed = [names[name] for name in _COLUMNS if matched or name != "particle"]
+        missing = [name for name in needed if name not in header]
+        if missing:
+            raise FitError(f"there is no column '{missing[0]}'; there are {', '.join(header)}")
+    if matched and wide and max(wide) >= count:
+        raise FitError(f"there are columns of particle {max(wide)}; there are {count}, from index 0")
+    clouds = dict[float, list[tuple[int, list[float]]]]()
+    for row in filter(None, reader):
+        if len(row) != len(header):
+            raise FitError(f"line {reader.line_num} has {len(row)} entries; the table has {len(header)} columns")
+        line = _Line(reader.line_num, dict(zip(header, row, strict=True)))
+        time = line.read_number(names["time"])
+        if not np.isfinite(time):
+            raise FitError(f"line {line.index}: {names['time']} is {time}; it must be finite")
+        if wide:
+            if time in clouds:
+                raise FitError(f"line {line.index}: a cloud of time {time:g} s stands above")
+            points = [(particle, [line.read_number(key) for key in keys]) for particle, keys in wide.items()]
+        else:
+            particle = line.read_particle(names["particle"], count) if matched else 0
+            points = [(particle, [line.read_number(names[axis]) for axis in _AXES])]
+        clouds.setdefault(time, []).extend(points)
+    if not clouds:
+        raise FitError("the table has no cloud")
+    return np.array(list(clouds)), [_cloud(points, count if matched else None) for points in clouds.values()]
+
+
+def _cloud(points: Sequence[tuple[int, Sequence[float]]], count: int | None) -> Array:
+    """Return a cloud with a row for each of `count` particles; None for one of bare points."""
+    rows = np.array([row for _, row in points], dtype=np.float64)
+    if count is None:
+        return rows[np.isfinite(rows).all(axis=1)]
+    cloud = np.full((count, 3), np.nan)
+    cloud[[particle for particle, _ in points]] = rows
+    return cloud
+
+
+@attrs.frozen
+class _Line:
+    """A line of a table: its index in the file, and its cells by column."""
+
+    index: int
+    cells: Mapping[str, str]
+
+    def read_number(self, name: str) -> float:
+        """Return the number of a column; NaN for an empty cell, which is a hidden point."""
+        cell = self.cells[name].strip()
+        try:
+            return float(cell or "nan")
+        except ValueError as error:
+            raise FitError(f"line {self.index}: {name} is '{cell}'; it must be a number") from error
+
+    def read_particle(self, name: str, count: int) -> int:
+        """Return the particle of a column, from 0 to below `count`."""
+        particle = self.read_number(name)
+        if not (0 <= particle < count and particle == int(particle)):
+            raise FitError(f"line {self.index} names particle {particle:g}; there are {count}, from index 0")
+        return int(particle)
+
+
+def _wide_columns(header: Sequence[str], names: Mapping[str, str]) -> dict[int, tuple[str, ...]]:
+    """Return the three columns of each particle of a table with a line for each cloud."""
+    patterns = [name if "{}" in name else name + "{}" for name in (names[axis] for axis in _AXES)]
+    columns: dict[int, tuple[str, ...]] = {}
+    before, _, after = patterns[0].partition("{}")
+    for name in header:
+        index = name[len(before) : len(name) - len(after)]
+        if name.startswith(before) and name.endswith(after) and index.isdecimal():
+            keys = tuple(pattern.replace("{}", index) for pattern in patterns)
+            missing = [key for key in keys if key not in header]
+            if missing:
+                raise FitError(f"there is a column '{name}', but no column '{missing[0]}'")
+            columns[int(index)] = keys
+    return columns

@@ -1,0 +1,203 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of real cloth in tables, and in messages of any type."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from cloth_sim_ros import Scene
+from cloth_sim_ros.fit.bag import read_recording
+from cloth_sim_ros.fit.message_fields import indices_of, points_of, pose_of, split_topic
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.tables import parse_columns, read_clouds
+
+SCENE = Scene.from_parameters({"cloth.resolution": [2, 2], "cloth.anchors": [""], "grippers": ["left"]})
+POSES = "time,x,y,z\n100.0,0.5,0.0,1.5\n102.0,0.5,0.2,1.5\n"
+LONG = "time,particle,x,y,z\n100.5,1,1,2,3\n100.5,0,4,5,6\n100.0,3,7,8,9\n"
+WIDE = "t,m0_x,m0_y,m0_z,m3_x,m3_y,m3_z\n100.0,1,2,3,4,5,6\n100.5,,,,7,8,9\n"
+
+
+def table(folder: Path, text: str, name: str = "clouds.csv") -> Path:
+    (folder / name).write_text(text)
+    return folder / name
+
+
+def test_table_with_a_line_for_each_point(tmp_path: Path) -> None:
+    times, clouds = read_clouds(table(tmp_path, LONG), 4)
+    assert times.tolist() == [100.0, 100.5]
+    nan = [np.nan] * 3
+    np.testing.assert_equal(clouds[0], [nan, nan, nan, [7.0, 8.0, 9.0]])
+    np.testing.assert_equal(clouds[1], [[4.0, 5.0, 6.0], [1.0, 2.0, 3.0], nan, nan])
+    _, bare = read_clouds(table(tmp_path, LONG), 4, matched=False, scale=1e-3)
+    np.testing.assert_allclose(bare[1], [[1e-3, 2e-3, 3e-3], [4e-3, 5e-3, 6e-3]])
+
+
+def test_table_with_a_line_for_each_cloud(tmp_path: Path) -> None:
+    columns = parse_columns("time=t, x=m{}_x, y=m{}_y, z=m{}_z")
+    _, clouds = read_clouds(table(tmp_path, WIDE), 4, columns=columns)
+    nan = [np.nan] * 3
+    np.testing.assert_equal(clouds[0], [[1.0, 2.0, 3.0], nan, nan, [4.0, 5.0, 6.0]])
+    np.testing.assert_equal(clouds[1], [nan, nan, nan, [7.0, 8.0, 9.0]])
+    plain = table(tmp_path, "time,x0,y0,z0\n0,1,2,3\n")
+    np.testing.assert_equal(read_clouds(plain, 1)[1][0], [[1.0, 2.0, 3.0]])
+
+
+def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
+    points = np.arange(24.0).reshape(2, 4, 3)
+    points[0, 1] = np.nan
+    np.savez(tmp_path / "clouds.npz", t=[0.0, 0.5], points=points)
+    times, clouds = read_clouds(tmp_path / "clouds.npz", 4, columns={"times": "t"})
+    assert times.tolist() == [0.0, 0.5]
+    np.testing.assert_equal(clouds[0], points[0])
+    assert len(read_clouds(tmp_path / "clouds.npz", 4, columns={"times": "t"}, matched=False)[1][0]) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "there is no column 'time'; there are none"),
+        ("time,x,y,z\n0,1,2,3\n", "there is no column 'particle'; there are time, x, y, z"),
+        ("time,particle,x,y\n0,0,1,2\n", "there is no column 'z'"),
+        ("time,particle,x,y,z\n", "the table has no cloud"),
+        ("time,particle,x,y,z\n0,9,1,2,3\n", "line 2 names particle 9; there are 4, from index 0"),
+        ("time,particle,x,y,z\n0,0.5,1,2,3\n", "line 2 names particle 0.5"),
+        ("time,particle,x,y,z\n0,0,1,2\n", "line 2 has 4 entries; the table has 5 columns"),
+        ("time,particle,x,y,z\n0,0,1,2,far\n", "line 2: z is 'far'; it must be a number"),
+        ("time,particle,x,y,z\nnan,0,1,2,3\n", "line 2: time is nan; it must be finite"),
+        ("time,x0,y0,z0\n0,1,2,3\n0,1,2,3\n", "line 3: a cloud of time 0 s stands above"),
+        ("time,x0,y0\n0,1,2\n", "there is a column 'x0', but no column 'z0'"),
+        ("time,x7,y7,z7\n0,1,2,3\n", "there are columns of particle 7; there are 4"),
+    ],
+)
+def test_faulty_table_is_refused(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(FitError, match=rf"clouds\.csv: {reason}"):
+        read_clouds(table(tmp_path, text), 4)
+
+
+def test_faulty_arrays_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "clouds.npz"
+    with pytest.raises(FitError, match=r"clouds\.npz: .*No such file"):
+        read_clouds(path, 4)
+    path.write_bytes(b"PK\3\4 rubbish")
+    with pytest.raises(FitError, match=r"clouds\.npz: "):
+        read_clouds(path, 4)
+    np.savez(path, times=[0.0])
+    with pytest.raises(FitError, match="there is no array 'points'; there are times"):
+        read_clouds(path, 4)
+    np.savez(path, times=[0.0], points=np.zeros((1, 4)))
+    with pytest.raises(FitError, match=r"they must be \(clouds,\) and \(clouds, points, 3\)"):
+        read_clouds(path, 4)
+    np.savez(path, times=[0.0], points=np.zeros((1, 5, 3)))
+    with pytest.raises(FitError, match="points have 5 particles; the scene has 4"):
+        read_clouds(path, 4)
+    np.savez(path, times=np.array([{}], dtype=object), points=np.zeros((1, 4, 3)))
+    with pytest.raises(FitError, match="allow_pickle"):
+        read_clouds(path, 4)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"), [("time", "write it as time=t"), ("width=w", "unknown name 'width'; known are time, particle")]
+)
+def test_faulty_names_of_columns_are_refused(text: str, reason: str) -> None:
+    with pytest.raises(FitError, match=reason):
+        parse_columns(text)
+
+
+def test_clouds_and_poses_of_tables_have_one_clock(tmp_path: Path) -> None:
+    poses = table(tmp_path, POSES, "left.csv")
+    recording = read_recording([table(tmp_path, LONG)], SCENE, poses={"left": str(poses)})
+    assert recording.times.tolist() == [0.0, 0.5]
+    assert recording.grippers["left"].times.tolist() == [0.0, 2.0]
+    assert recording.grippers["left"].pose_at(1.0)[0] == [0.5, 0.1, 1.5]
+    assert recording.grippers["left"].is_closed(0.0)
+    with pytest.raises(FitError, match=r"poses of gripper 'left' are missing; give --pose left=poses\.csv"):
+        read_recording([table(tmp_path, LONG)], SCENE)
+    with pytest.raises(FitError, match="a table is one recording"):
+        read_recording([table(tmp_path, LONG), poses], SCENE, poses={"left": str(poses)})
+
+
+TYPES = get_types_from_msg("uint32 id\ngeometry_msgs/Point translation", "mocap_msgs/msg/Marker") | get_types_from_msg(
+    "std_msgs/Header header\nmocap_msgs/Marker[] markers\nfloat64[] flat", "mocap_msgs/msg/Markers"
+)
+
+
+def markers(store: Any, seconds: int, points: dict[int, tuple[float, float, float]], **header: Any) -> Any:
+    types = store.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=0)
+    entries = [
+        types["mocap_msgs/msg/Marker"](id=k, translation=types["geometry_msgs/msg/Point"](*point))
+        for k, point in points.items()
+    ]
+    head = types["std_msgs/msg/Header"](stamp=stamp, frame_id="map", **header)
+    return types["mocap_msgs/msg/Markers"](header=head, markers=entries, flat=np.arange(6.0))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_fields_of_own_messages_are_read(tmp_path: Path, version: int) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_JAZZY)
+    store.register(TYPES)
+    name = "mocap_msgs/msg/Markers"
+    header = {"seq": 1} if version == 1 else {}
+    path = tmp_path / ("real.bag" if version == 1 else "real")
+    with Ros1Writer(path) if version == 1 else Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/mocap", name, typestore=store)
+        for seconds, points in ((100, {3: (1.0, 2.0, 3.0), 0: (4.0, 5.0, 6.0)}), (101, {1: (7.0, 8.0, 9.0)})):
+            message = markers(store, seconds, points, **header)
+            data = store.serialize_ros1(message, name) if version == 1 else store.serialize_cdr(message, name)
+            writer.write(connection, seconds, data)
+    poses = {"left": str(table(tmp_path, POSES, "left.csv"))}
+    topic = "/mocap:markers[].translation"
+    recording = read_recording([path], SCENE, topic=topic, poses=poses, index_field="markers[].id")
+    assert recording.times.tolist() == [0.0, 1.0]
+    nan = [np.nan] * 3
+    np.testing.assert_equal(recording.clouds[0], [[4.0, 5.0, 6.0], nan, nan, [1.0, 2.0, 3.0]])
+    bare = read_recording([path], SCENE, topic="/mocap:flat", poses=poses, matched=False)
+    np.testing.assert_equal(bare.clouds[1], [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]])
+    for wrong, reason in (
+        ("/mocap:markers[].position", r"there is no 'position'; there are id, translation"),
+        ("/mocap:header[].stamp", r"\[\] stands after a value that is no array"),
+        ("/mocap:markers[].id", "holds 1 numbers; each point has three"),
+        ("/mocap:markers..id", "is no field of a message; write it as"),
+        ("/tracker:markers[].translation", "has no topic '/tracker'; it has /mocap"),
+    ):
+        with pytest.raises(FitError, match=reason):
+            read_recording([path], SCENE, topic=wrong, poses=poses)
+    with pytest.raises(FitError, match="a gripper has one pose"):
+        read_recording([path], SCENE, topic=topic, poses={"left": "/mocap:markers[].translation"})
+
+
+def test_forms_of_points_and_poses() -> None:
+    types = get_typestore(Stores.ROS2_JAZZY).types
+    point, turn = (
+        types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0),
+        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 1.0, 0.0),
+    )
+    transform = types["geometry_msgs/msg/Transform"](
+        translation=types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0), rotation=turn
+    )
+    pose = types["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+    for message, field in ((transform, ""), (pose, "")):
+        assert pose_of(message, field) == [1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0]
+    assert pose_of(pose, "position") == [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]
+    with pytest.raises(FitError, match="a pose has position and orientation"):
+        pose_of(turn, "w")
+    assert split_topic("/mocap:flat") == ("/mocap", "flat")
+    array = types["std_msgs/msg/Float64MultiArray"](
+        layout=types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0), data=np.array([1.0, 2.5])
+    )
+    with pytest.raises(FitError, match="not whole"):
+        indices_of(array, "data")
+    with pytest.raises(FitError, match="holds 2 numbers"):
+        points_of(array, "data")
+    with pytest.raises(FitError, match="no points"):
+        points_of(types["std_msgs/msg/String"](data="x"), "data")
