@@ -19,12 +19,14 @@ from cloth_sim_ros.fit.start import rest_recording
 from cloth_sim_ros.scene.scene import Scene
 
 _CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
+#: Endings of files that are no MCAP.
+_OTHER_ENDINGS = (".db3", ".bag")
 #: Names of a cloud's field with the particle index, and numpy types of PointField's integer types.
 _INDEX_FIELDS, _INTEGER_TYPES = ("index", "id", "particle"), {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"}
 
 
 def is_session(path: Path) -> bool:
-    """Return true if a file is a session of this package, intact or damaged; false for any other MCAP.
+    """Return true if a file is a session of this package, intact or damaged; false for any other recording.
 
     Raises:
         SessionError: if the file can't be read.
@@ -32,6 +34,8 @@ def is_session(path: Path) -> bool:
     from cloth_sim_ros.session.errors import NotASessionError
     from cloth_sim_ros.session.part import SessionPart
 
+    if path.is_dir() or path.suffix in _OTHER_ENDINGS or tables.is_table(path):
+        return False
     try:
         SessionPart(path).close()
     except NotASessionError as error:
@@ -51,23 +55,38 @@ def read_bag(
     matched: bool = True,
     grasped: Mapping[str, str] | None = None,
     first_time: float = 0.0,
+    index_field: str = "",
+    columns: Mapping[str, str] | None = None,
+    scale: float = 1.0,
 ) -> FitRecording:
     """Read clouds and gripper poses of a cloth that hangs at rest in its grippers at the first cloud.
 
     Args:
-        paths: MCAP files of one recording, with messages in CDR.
+        paths: as for `read_recording`, and so are `topic`, `poses`, `matched`, `index_field`, `columns` and `scale`.
         scene: the cloth and its grippers.
-        topic: topic of the clouds; required if several topics have clouds.
-        poses: topic of PoseStamped by gripper; default: the one whose name ends in /GRIPPER/target or /GRIPPER/pose.
+        topic: topic of the clouds.
+        poses: poses by gripper.
         settle_time: settling time of the simulated cloth before the first cloud [s].
-        matched: true if points are particles, in order or by an index field; false if they are bare surface points.
+        matched: true if points are particles.
         grasped: grasped particles by gripper, such as ``12,13`` or ``top_left``; by default, found from the clouds.
         first_time: time of the first used cloud, relative to the first recorded one [s].
+        index_field: field with the particles' numbers.
+        columns: names in a table.
+        scale: factor from the unit of tables to metres.
 
     Raises:
         FitError: if the recording is unusable; the text names cause and remedy.
     """
-    recording = read_recording(paths, scene, topic=topic, poses=poses, matched=matched).since(first_time)
+    recording = read_recording(
+        paths,
+        scene,
+        topic=topic,
+        poses=poses,
+        matched=matched,
+        index_field=index_field,
+        columns=columns,
+        scale=scale,
+    ).since(first_time)
     return rest_recording(recording, scene, settle_time=settle_time, grasped=grasped)
 
 

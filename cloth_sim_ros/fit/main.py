@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -68,8 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="cloth_fit", description=_DESCRIPTION)
     files = (
-        "session.mcap, with the files of one session in order; or MCAPs of a real cloth, a motion each. Several "
-        "sessions or motions are fitted at once"
+        "session.mcap, with the files of one session in order; or bags or tables (CSV, npz) of a real cloth, a motion "
+        "each. Several sessions or motions are fitted at once"
     )
     parser.add_argument("session", nargs="+", type=Path, help=files)
     names = (
@@ -118,10 +119,20 @@ def _add_motion_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_bag_options(parser: argparse.ArgumentParser) -> None:
-    real = parser.add_argument_group("an MCAP that cloth_sim did not record")
-    real.add_argument("--topic", metavar="NAME", help="topic of the clouds, if several topics have clouds")
-    pose = "topic of a gripper's poses (PoseStamped); default: the one that ends in /GRIPPER/target or /pose"
-    real.add_argument("--pose", action="append", default=[], metavar="GRIPPER=TOPIC", help=pose)
+    real = parser.add_argument_group("a recording of a real cloth (see docs/fit_recordings.md)")
+    topic = "topic of the clouds, if several topics have clouds; with the field of the points for messages of any type"
+    real.add_argument("--topic", metavar="NAME[:FIELD]", help=topic)
+    index = "field with the particles' numbers, such as markers[].id; default: points in the order of the particles"
+    real.add_argument("--index", default="", metavar="FIELD", help=index)
+    pose = (
+        "a gripper's poses: topic (PoseStamped), topic and field, or a table (CSV); default: the topic that ends in "
+        "/GRIPPER/target or /pose; {} stands for the recording's name without its ending"
+    )
+    real.add_argument("--pose", action="append", default=[], metavar="GRIPPER=TOPIC[:FIELD]", help=pose)
+    columns = "names in a table, such as time=t,particle=id,x=X,y=Y,z=Z"
+    real.add_argument("--columns", default="", metavar="NAME=COLUMN,...", help=columns)
+    scale = "factor from the unit of tables to metres (default 1)"
+    real.add_argument("--scale", type=float, metavar="M", help=scale)
     held = (
         "particles that a gripper holds at the first cloud: indices (12,13), a corner (top_left) or an edge; default: "
         "the particle nearest to it in the clouds, with those within gripper.radius"
@@ -194,6 +205,7 @@ def _prepare_real(
     from cloth_sim_ros.fit.bag import read_recording
     from cloth_sim_ros.fit.parameters import FitError
     from cloth_sim_ros.fit.real import fit_real
+    from cloth_sim_ros.fit.tables import parse_columns
     from cloth_sim_ros.session.opening import open_file
 
     if scene is None:
@@ -203,10 +215,23 @@ def _prepare_real(
         # `is_session` has checked the first file. Opening a pipe would wait for its writer.
         open_file(path).close()
     poses, grasped = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
+    scale = 1.0 if options.scale is None else options.scale
+    if not 0.0 < scale < math.inf:
+        raise FitError(f"--scale is {scale:g}; it must be above 0, such as 0.001 for millimetres")
+    columns = parse_columns(options.columns)
     groups = [options.session] if options.parts else [[path] for path in options.session]
     recordings = []
     for group in groups:
-        recording = read_recording(group, scene, topic=options.topic, poses=poses, matched=not options.unordered)
+        recording = read_recording(
+            group,
+            scene,
+            topic=options.topic,
+            poses={name: source.replace("{}", str(group[0].with_suffix(""))) for name, source in poses.items()},
+            matched=not options.unordered,
+            index_field=options.index,
+            columns=columns,
+            scale=scale,
+        )
         recordings.append(recording.since(options.begin or 0.0).part(until=options.until, every=options.every))
     if options.settle is not None:
         settings["settle_time"] = options.settle
@@ -223,6 +248,9 @@ def _read_sessions(options: argparse.Namespace, scene: Scene | None) -> list[Fit
 
     bag_options = {
         "--topic": options.topic is not None,
+        "--index": bool(options.index),
+        "--columns": bool(options.columns),
+        "--scale": options.scale is not None,
         "--pose": bool(options.pose),
         "--held": bool(options.held),
         "--from": options.begin is not None,
@@ -231,7 +259,7 @@ def _read_sessions(options: argparse.Namespace, scene: Scene | None) -> list[Fit
     }
     for option, is_set in bag_options.items():
         if is_set:
-            raise FitError(f"{option} is for an MCAP that cloth_sim did not record; omit it for a session")
+            raise FitError(f"{option} is for a recording of a real cloth; omit it for a session")
 
     def session_of(path: Path) -> str:
         part = SessionPart(path)

@@ -21,6 +21,8 @@ from cloth_sim_ros.scene import input_file
 ENDINGS = (".csv", ".npz")
 #: Largest table [bytes].
 _MAX_BYTES = 1 << 30
+#: Largest number of names in an error.
+_MAX_LISTED = 12
 _AXES = ("x", "y", "z")
 #: Names of the columns of a table, and of the arrays of an npz file, that `--columns` may rename.
 _COLUMNS, _ARRAYS = ("time", "particle", *_AXES), ("times", "points")
@@ -117,7 +119,7 @@ def _read_arrays(
             for name in _ARRAYS:
                 key = columns.get(name, name)
                 if key not in file:
-                    raise FitError(f"there is no array '{key}'; there are {', '.join(file.files) or 'none'}")
+                    raise FitError(f"there is no array '{key}'; there are {_listed(file.files)}")
                 arrays[name] = np.asarray(file[key], dtype=np.float64)
     except (zipfile.BadZipFile, EOFError) as error:
         raise FitError(f"is no npz file: {error}") from error
@@ -143,13 +145,13 @@ def _read_csv(
     header = [name.strip() for name in next(reader, [])]
     names = {name: columns.get(name, name) for name in _COLUMNS}
     if names["time"] not in header:
-        raise FitError(f"there is no column '{names['time']}'; there are {', '.join(header) or 'none'}")
+        raise FitError(f"there is no column '{names['time']}'; there are {_listed(header)}")
     wide = _wide_columns(header, names) if names["x"] not in header else {}
     if not wide:
         needed = [names[name] for name in _COLUMNS if matched or name != "particle"]
         missing = [name for name in needed if name not in header]
         if missing:
-            raise FitError(f"there is no column '{missing[0]}'; there are {', '.join(header)}")
+            raise FitError(f"there is no column '{missing[0]}'; there are {_listed(header)}")
     if matched and wide and max(wide) >= count:
         raise FitError(f"there are columns of particle {max(wide)}; there are {count}, from index 0")
     clouds = dict[float, list[tuple[int, list[float]]]]()
@@ -171,6 +173,12 @@ def _read_csv(
     if not clouds:
         raise FitError("the table has no cloud")
     return np.array(list(clouds)), [_cloud(points, count if matched else None) for points in clouds.values()]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return some names as text."""
+    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(names[:_MAX_LISTED]) + more or "none"
 
 
 def _cloud(points: Sequence[tuple[int, Sequence[float]]], count: int | None) -> Array:

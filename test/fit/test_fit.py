@@ -258,7 +258,7 @@ def test_unidentified_parameter_keeps_scene_value(noisy: Path, tmp_path: Path) -
         (["--parameters", "stretch", "--sigma", "0"], "must be above 0"),
         (["--parameters", "stretch", "--within", "2"], "between 0 and 1"),
         (["--parameters", "stretch", "--workers", "0"], "at least 1"),
-        (["--parameters", "stretch", "--settle", "1"], "--settle is for an MCAP"),
+        (["--parameters", "stretch", "--settle", "1"], "--settle is for a recording of a real cloth"),
         (["--parameters", "stretch", "--json", "/nowhere/out.json"], "there is no folder"),
     ],
 )

@@ -14,6 +14,7 @@ pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from support.fit_samples import START, cloth, random_truth, write_bag
 
 from cloth_sim_ros import Scene
 from cloth_sim_ros.fit.bag import read_recording
@@ -201,3 +202,25 @@ def test_forms_of_points_and_poses() -> None:
         points_of(array, "data")
     with pytest.raises(FitError, match="no points"):
         points_of(types["std_msgs/msg/String"](data="x"), "data")
+
+
+def test_bag_and_tables_give_the_same_recording(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "real.mcap", random_truth(3), seconds=0.1, resolution=4)
+    scene = cloth({**START, "rate": 60.0}, resolution=4)
+    expected = read_recording([bag], scene)
+    lines = ["t,id,X,Y,Z"]
+    for time, cloud in zip(expected.times.tolist(), expected.clouds, strict=True):
+        lines += [f"{7.0 + time!r},{k},{x!r},{y!r},{z!r}" for k, (x, y, z) in enumerate((1e3 * cloud).tolist())]
+    clouds = table(tmp_path, "\n".join(lines))
+    poses = {}
+    for name, track in expected.grippers.items():
+        rows = np.column_stack([track.times + 7.0, 1e3 * track.positions, track.quaternions]).tolist()
+        text = "\n".join(["time,x,y,z,qx,qy,qz,qw", *(",".join(map(repr, row)) for row in rows)])
+        poses[name] = str(table(tmp_path, text, f"{name}.csv"))
+    columns = parse_columns("time=t,particle=id,x=X,y=Y,z=Z")
+    recording = read_recording([clouds], scene, poses=poses, columns=columns, scale=1e-3)
+    np.testing.assert_allclose(recording.times, expected.times, atol=1e-12)
+    np.testing.assert_allclose(recording.clouds, expected.clouds, rtol=1e-14)
+    for name, track in expected.grippers.items():
+        np.testing.assert_allclose(recording.grippers[name].times, track.times, atol=1e-6)
+        np.testing.assert_allclose(recording.grippers[name].positions, track.positions, rtol=1e-14)
