@@ -31,7 +31,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 #: Diameter of the specimen and of the plate [m].
 DIAMETER, PLATE_DIAMETER = 0.30, 0.18
 #: Length of an edge [m].
-SIDE = 0.0075
+SIDE = 0.005
 #: Ratio of the sides of the coarser and the finer mesh of an estimate of the mesh error.
 COARSENING = 1.5
 #: Standard deviation of a particle's height at the beginning [m].
@@ -53,7 +53,7 @@ class DrapeTest:
     plate_diameter: float = PLATE_DIAMETER
     #: Length of an edge of the mesh [m], and its pattern.
     side: float = SIDE
-    pattern: str = "irregular"
+    pattern: str = "regular"
     #: True for contact with the plate, false for particles that are held on it.
     contact: bool = False
     #: Static and kinetic coefficients of friction between specimen and plate.
@@ -61,7 +61,7 @@ class DrapeTest:
     #: Distance of the specimen's middle surface from the plate [m].
     thickness: float = 0.001
     #: Time during which the load grows [s].
-    loading_time: float = 2.0
+    loading_time: float = 1.2
 
     def __attrs_post_init__(self) -> None:
         if not 0.0 < self.plate_diameter < self.diameter:
@@ -155,8 +155,11 @@ def coarser_drape(sample: Sample, fine: Drape) -> Drape:
 
 
 def mesh_error(fine: Drape, coarse: Drape) -> float:
-    """Return the estimated error of the finer of two drapes by its mesh, for an error of order 2 in the side."""
-    return (fine.coefficient - coarse.coefficient) / (COARSENING**2 - 1.0)
+    """Return the estimated error of the finer of two drapes by its mesh, for an error of order 2 in the side.
+
+    It is positive if the coefficient is too large.
+    """
+    return (coarse.coefficient - fine.coefficient) / (COARSENING * COARSENING - 1.0)
 
 
 def _plate_parameters(test: DrapeTest) -> dict[str, object]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
 from cloth_sim_ros.physics.model.forces.force import Array
 
-PATTERNS = ("irregular", "regular")
+PATTERNS = ("regular", "irregular")
 #: Distance of rows of regular triangles over their side.
 ROW = math.sqrt(0.75)
 #: Iterations of Laplace's smoothing, and the fraction of the way that a particle moves in each.
@@ -48,7 +48,7 @@ class DiscMesh:
         return float((2.0 * math.sqrt(3.0) * _twice_areas(a, b, c) / squares).min())
 
 
-def disc_mesh(radius: float, plate_radius: float, side: float, *, pattern: str = "irregular", seed: int = 0) -> DiscMesh:
+def disc_mesh(radius: float, plate_radius: float, side: float, *, pattern: str = "regular", seed: int = 0) -> DiscMesh:
     """Return the mesh of a disc.
 
     Args:
