@@ -73,7 +73,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 # folders beside it, that each may import.
 _MEASURED = {"engine", "physics", "scene", "simulation", "session", "verify"}
 MEASURING_FOLDERS: dict[str, tuple[set[str], set[str]]] = {
-    "validation": (_MEASURED, {"support"}),
+    "validation": (_MEASURED | {"laboratory"}, {"support"}),
     "benchmarks": (_MEASURED | {"camera", "studies", "learning", "ros"}, {"support", "validation"}),
 }
 #: Folders of the tests of both, without which the product's tests pass.

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 
 import attrs
-import numpy as np
 
 from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
 from cloth_sim_ros.laboratory.samples import Sample
@@ -65,6 +64,8 @@ def cantilever(sample: Sample, angle: float, *, cells: int = CELLS) -> Cantileve
     overhang = 2.0 * (stated / (sample.density * _GRAVITY)) ** (1.0 / 3.0)
     known: list[tuple[float, float]] = []
     for _ in range(_MAX_ITERATIONS):
+        if not _MIN_OVERHANG <= overhang <= _MAX_OVERHANG:
+            break
         excess = math.log(math.tan(_tip_angle(sample, angle, overhang, 2 * cells)) / math.tan(TIP_ANGLE))
         if abs(excess) < _ANGLE_ACCURACY / (math.sin(TIP_ANGLE) * math.cos(TIP_ANGLE)):
             return Cantilever(overhang=overhang, density=sample.density)
@@ -75,8 +76,6 @@ def cantilever(sample: Sample, angle: float, *, cells: int = CELLS) -> Cantileve
             slope = (y1 - y0) / (x1 - x0) if (y1 - y0) * (x1 - x0) > 0.0 else slope
         step = min(max(-excess / slope, -0.7), 0.7)
         overhang = math.exp(math.log(overhang) + step)
-        if not _MIN_OVERHANG <= overhang <= _MAX_OVERHANG:
-            break
     raise LaboratoryError(
         f"no overhang from {_MIN_OVERHANG:g} to {_MAX_OVERHANG:g} m bends the strip to {math.degrees(TIP_ANGLE):g} "
         "degrees; check bending_modulus and density of the fabric"

@@ -36,7 +36,9 @@ _MAX_RESIDUAL = 0.05
 _PLANE = {"bending.model": "none", "material.bending_modulus": 0.0, "material.bending_modulus_weft": 0.0}
 
 
-def _clamp_force(sample: Sample, size: tuple[float, float], angle: float, cells: int, shift: tuple[float, float]) -> Array:
+def _clamp_force(
+    sample: Sample, size: tuple[float, float], angle: float, cells: int, shift: tuple[float, float]
+) -> Array:
     """Return the force on the upper clamp that holds a strip, over its width [N/m], (2,).
 
     Args:

@@ -83,9 +83,7 @@ def _fabric(source: str) -> Fabric:
     if source in fabrics():
         return fabrics()[source]
     if not is_fabric_file(source) and not Path(source).exists():
-        raise ParameterError(
-            f"'{source}' is neither a file nor a fabric; the fabrics are {', '.join(fabrics())}"
-        )
+        raise ParameterError(f"'{source}' is neither a file nor a fabric; the fabrics are {', '.join(fabrics())}")
     text = parameter_file.text_of(source)
     try:
         content = ros_yaml.load(text)

@@ -52,8 +52,9 @@ def _contour(points: Array, triangles: NDArray[np.int64], plate_radius: float) -
     first, last = angles[edges].T
     # An edge is seen under less than half a turn.
     across = np.abs(last - first) > 0.5 * N_DIRECTIONS
-    first, last = np.where(across & (first < last), first + N_DIRECTIONS, first), np.where(
-        across & (last < first), last + N_DIRECTIONS, last
+    first, last = (
+        np.where(across & (first < last), first + N_DIRECTIONS, first),
+        np.where(across & (last < first), last + N_DIRECTIONS, last),
     )
     low, high = np.ceil(np.minimum(first, last)).astype(np.int64), np.floor(np.maximum(first, last)).astype(np.int64)
     counts = np.maximum(high - low + 1, 0)
