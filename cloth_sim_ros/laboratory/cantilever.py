@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cantilever test (ASTM D1388): overhang at which the tip of a strip reaches 41.5 degrees below the level.
 
-At this angle the bending length is half the overhang, c = L / 2, and the flexural rigidity is G = w c³ with the weight
-per area w (Peirce, Journal of the Textile Institute 21, 1930, T377). Hinges at the last held row stand for the
+At this angle the bending length c is half the overhang. The flexural rigidity is G = w c³ with the weight per area w
+(Peirce, Journal of the Textile Institute 21, 1930, T377). Hinges at the last held row stand for the
 curvature of half a cell on either side. Therefore that row lies half a cell beyond the edge of the platform.
 """
 
@@ -14,7 +14,7 @@ import math
 import attrs
 
 from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
-from cloth_sim_ros.laboratory.samples import Sample
+from cloth_sim_ros.laboratory.samples import FabricSample
 from cloth_sim_ros.laboratory.strips import Measurement, strip
 
 #: Angle of the line from the edge to the tip below the level [rad], and largest width of a strip [m].
@@ -49,7 +49,7 @@ class Cantilever:
         return self.density * _GRAVITY * self.bending_length**3
 
 
-def cantilever(sample: Sample, angle: float, *, cells: int = CELLS) -> Cantilever:
+def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Cantilever:
     """Find the overhang of a strip.
 
     Args:
@@ -82,7 +82,7 @@ def cantilever(sample: Sample, angle: float, *, cells: int = CELLS) -> Cantileve
     )
 
 
-def _tip_angle(sample: Sample, angle: float, overhang: float, n_cells: int) -> float:
+def _tip_angle(sample: FabricSample, angle: float, overhang: float, n_cells: int) -> float:
     """Return the angle below the level at which the tip is seen from the edge [rad]."""
     cell = overhang / (n_cells + 0.5)
     # The grid has no Poisson's ratio in bending, therefore the width has no effect.
@@ -93,23 +93,23 @@ def _tip_angle(sample: Sample, angle: float, overhang: float, n_cells: int) -> f
     return math.atan2(-float(z), float(y) - 0.5 * cell)
 
 
-def measure_cantilever(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
+def measure_cantilever(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
     """Measure strips along warp and weft."""
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.pair("material.bending_modulus"), strict=True
     ):
-        found = cantilever(sample, angle, cells=cells)
+        bent = cantilever(sample, angle, cells=cells)
         length = (stated / (sample.density * _GRAVITY)) ** (1.0 / 3.0) if stated else None
         measurements += [
             Measurement(
-                quantity="bending length", direction=direction, unit="m", measured=found.bending_length, stated=length
+                quantity="bending length", direction=direction, unit="m", measured=bent.bending_length, stated=length
             ),
             Measurement(
                 quantity="flexural rigidity",
                 direction=direction,
                 unit="N m",
-                measured=found.rigidity,
+                measured=bent.rigidity,
                 stated=stated or None,
             ),
         ]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.laboratory.samples import Sample
+    from cloth_sim_ros.laboratory.samples import FabricSample
 
 #: Exit status: the test is done.
 DONE = 0
@@ -31,7 +31,7 @@ def add_sample_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
 
 
-def sample_of(options: argparse.Namespace) -> Sample:
+def sample_of(options: argparse.Namespace) -> FabricSample:
     """Return the fabric that the options name.
 
     Raises:

@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cusick drape test (BS 5058, ISO 9073-9): a disc of fabric hangs over a smaller plate.
 
-The drape coefficient is the area of the overhang's vertical projection over its area when flat,
+The drape coefficient is the area of the overhang's vertical projection over its area when flat. A is the area of the
+whole shadow, r the radius of the plate, and R that of the specimen. Then
 
-    DC = (A - π r²) / (π R² - π r²),
+    DC = (A - π r²) / (π R² - π r²).
 
-A the area of the whole shadow, r the radius of the plate, R that of the specimen. Supports are lowered slowly in the
-test; here gravity grows slowly. Folds then form one after the other, as in the test. A small random offset of each
-particle chooses among the possible ones.
+Supports are lowered slowly in the test; here gravity grows slowly. Folds then form one after the other, as in the test.
+A small random offset of each particle chooses among the possible ones.
 
-A held plate holds the particles up to half a row beyond its edge: hinges at the last held ring stand for the curvature
-of half a row on either side, so that the sheet is clamped half a row before that ring, at the edge.
+A held plate holds the particles up to half a row beyond its edge. Hinges at the last held ring stand for the curvature
+of half a row on either side. The sheet is therefore clamped half a row before that ring, at the edge.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.laboratory.equilibrium import LaboratoryError, find_equilibrium
-from cloth_sim_ros.laboratory.samples import Sample
+from cloth_sim_ros.laboratory.samples import FabricSample
 from cloth_sim_ros.laboratory.silhouette import Silhouette, silhouette
 from cloth_sim_ros.laboratory.specimens import ROW, DiscMesh, annulus, disc_mesh, is_on_plate
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -31,7 +31,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 #: Diameter of the specimen and of the plate [m].
 DIAMETER, PLATE_DIAMETER = 0.30, 0.18
 #: Length of an edge [m].
-SIDE = 0.005
+EDGE_LENGTH = 0.005
 #: Ratio of the sides of the coarser and the finer mesh of an estimate of the mesh error.
 COARSENING = 1.5
 #: Standard deviation of a particle's height at the beginning [m].
@@ -52,7 +52,7 @@ class DrapeTest:
     diameter: float = DIAMETER
     plate_diameter: float = PLATE_DIAMETER
     #: Length of an edge of the mesh [m], and its pattern.
-    side: float = SIDE
+    edge_length: float = EDGE_LENGTH
     pattern: str = "regular"
     #: True for contact with the plate, false for particles that are held on it.
     contact: bool = False
@@ -105,7 +105,7 @@ class Drape:
         return (self.shadow.area - plate) / (math.pi * self.test.radius**2 - plate)
 
 
-def drape(sample: Sample, test: DrapeTest, *, seed: int = 0, start: Drape | None = None) -> Drape:
+def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape | None = None) -> Drape:
     """Drape a specimen.
 
     Args:
@@ -118,8 +118,8 @@ def drape(sample: Sample, test: DrapeTest, *, seed: int = 0, start: Drape | None
         LaboratoryError: for a mesh that does not fit the specimen.
         ParameterError: for a fabric that a mesh can't have.
     """
-    ring_radius = test.plate_radius if test.contact else test.plate_radius + 0.5 * ROW * test.side
-    mesh = disc_mesh(test.radius, ring_radius, test.side, pattern=test.pattern, seed=seed)
+    ring_radius = test.plate_radius if test.contact else test.plate_radius + 0.5 * ROW * test.edge_length
+    mesh = disc_mesh(test.radius, ring_radius, test.edge_length, pattern=test.pattern, seed=seed)
     values: dict[str, object] = {"cloth.mesh": "specimen.obj", "cloth.orientation": [0.0, 0.0, 0.0, 1.0]}
     values |= {"cloth.position": [0.0, 0.0, 0.0]}
     if test.contact:
@@ -135,27 +135,27 @@ def drape(sample: Sample, test: DrapeTest, *, seed: int = 0, start: Drape | None
     else:
         positions = _resampled(start, mesh, held)
     loading_time = test.loading_time if start is None else 0.0
-    found = find_equilibrium(scene, positions, loading_time=loading_time)
+    equilibrium = find_equilibrium(scene, positions, loading_time=loading_time)
     return Drape(
         test=test,
         seed=seed,
         mesh=mesh,
-        positions=found.positions,
-        shadow=silhouette(found.positions, mesh.triangles, test.plate_radius),
-        residual=found.residual,
-        is_converged=found.is_converged,
-        time=found.time,
+        positions=equilibrium.positions,
+        shadow=silhouette(equilibrium.positions, mesh.triangles, test.plate_radius),
+        residual=equilibrium.residual,
+        is_converged=equilibrium.is_converged,
+        time=equilibrium.time,
     )
 
 
-def coarser_drape(sample: Sample, fine: Drape) -> Drape:
+def coarser_drape(sample: FabricSample, fine: Drape) -> Drape:
     """Drape a specimen of a coarser mesh from the shape of a drape, so that both have the same folds."""
-    test = attrs.evolve(fine.test, side=COARSENING * fine.test.side)
+    test = attrs.evolve(fine.test, edge_length=COARSENING * fine.test.edge_length)
     return drape(sample, test, seed=fine.seed, start=fine)
 
 
 def mesh_error(fine: Drape, coarse: Drape) -> float:
-    """Return the estimated error of the finer of two drapes by its mesh, for an error of order 2 in the side.
+    """Return the estimated error of the finer of two drapes by its mesh, for an error of order 2 in the edge length.
 
     It is positive if the coefficient is too large.
     """
@@ -178,10 +178,10 @@ def _resampled(start: Drape, mesh: DiscMesh, held: NDArray[np.bool_]) -> Array:
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     points, moved = start.mesh.points, start.positions
-    found = np.asarray(LinearNDInterpolator(points, moved)(mesh.points))
+    positions = np.asarray(LinearNDInterpolator(points, moved)(mesh.points))
     # Between the chords of the border and the border.
-    outside = np.isnan(found).any(axis=1)
-    found[outside] = NearestNDInterpolator(points, moved)(mesh.points[outside])
+    outside = np.isnan(positions).any(axis=1)
+    positions[outside] = NearestNDInterpolator(points, moved)(mesh.points[outside])
     if not start.test.contact:
-        found[held] = np.column_stack([mesh.points[held], np.zeros(int(held.sum()))])
-    return found
+        positions[held] = np.column_stack([mesh.points[held], np.zeros(int(held.sum()))])
+    return positions

@@ -46,8 +46,8 @@ def _parser() -> argparse.ArgumentParser:
     add_sample_options(parser)
     parser.add_argument("--diameter", type=float, default=0.3, metavar="M", help="of the specimen [m] (default 0.3)")
     parser.add_argument("--plate", type=float, default=0.18, metavar="M", help="diameter of the plate (default 0.18)")
-    side = "length of the mesh's edges [m] (default 0.005, times diameter / 0.3 m)"
-    parser.add_argument("--side", type=float, metavar="M", help=side)
+    edge_length = "length of the mesh's edges [m] (default 0.005, times diameter / 0.3 m)"
+    parser.add_argument("--edge-length", type=float, metavar="M", help=edge_length)
     pattern = "mesh: rings around the centre, or irregular triangles (default regular)"
     parser.add_argument("--pattern", choices=("regular", "irregular"), default="regular", help=pattern)
     specimens = "number of specimens, each turned and perturbed in its own way (default 3)"
@@ -64,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from cloth_sim_ros.laboratory.drape import DIAMETER, SIDE, DrapeTest
+    from cloth_sim_ros.laboratory.drape import DIAMETER, EDGE_LENGTH, DrapeTest
     from cloth_sim_ros.laboratory.drape_picture import write_picture
     from cloth_sim_ros.laboratory.drape_series import describe, drape_series
     from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
@@ -74,7 +74,7 @@ def _run(options: argparse.Namespace) -> int:
     test = DrapeTest(
         diameter=options.diameter,
         plate_diameter=options.plate,
-        side=SIDE * options.diameter / DIAMETER if options.side is None else options.side,
+        edge_length=EDGE_LENGTH * options.diameter / DIAMETER if options.edge_length is None else options.edge_length,
         pattern=options.pattern,
         contact=options.contact,
     )

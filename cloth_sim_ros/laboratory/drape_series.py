@@ -14,14 +14,14 @@ from typing import Any
 import attrs
 
 from cloth_sim_ros.laboratory.drape import Drape, DrapeTest, coarser_drape, drape, mesh_error
-from cloth_sim_ros.laboratory.samples import Sample
+from cloth_sim_ros.laboratory.samples import FabricSample
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class DrapeSeries:
     """Drapes of several specimens of one fabric."""
 
-    sample: Sample
+    sample: FabricSample
     test: DrapeTest
     drapes: Sequence[Drape]
     #: Drapes of coarser meshes with the same folds; empty if they were not asked for.
@@ -87,7 +87,7 @@ class DrapeSeries:
 
 
 def drape_series(
-    sample: Sample,
+    sample: FabricSample,
     test: DrapeTest,
     *,
     seeds: Sequence[int],
@@ -104,7 +104,7 @@ def drape_series(
         on_progress: called after each drape.
     """
 
-    def one(seed: int) -> tuple[Drape, Drape | None]:
+    def drape_specimen(seed: int) -> tuple[Drape, Drape | None]:
         fine = drape(sample, test, seed=seed)
         on_progress()
         coarse = coarser_drape(sample, fine) if with_mesh_error else None
@@ -112,12 +112,12 @@ def drape_series(
 
     workers = max(1, min(len(seeds), len(os.sched_getaffinity(0))))
     with ThreadPoolExecutor(workers) as pool:
-        found = list(pool.map(one, seeds))
+        specimens = list(pool.map(drape_specimen, seeds))
     return DrapeSeries(
         sample=sample,
         test=test,
-        drapes=[fine for fine, _ in found],
-        coarse=[coarse for _, coarse in found if coarse is not None],
+        drapes=[fine for fine, _ in specimens],
+        coarse=[coarse for _, coarse in specimens if coarse is not None],
     )
 
 
@@ -126,7 +126,7 @@ def describe(series: DrapeSeries) -> str:
     fabric, test = series.sample.fabric, series.test
     support = "contact with the plate" if test.contact else "held on the plate"
     size = f"{1e3 * test.diameter:g} mm on {1e3 * test.plate_diameter:g} mm"
-    lines = [f"{series.sample.title}: Cusick drape, {size}, {support}, edges of {1e3 * test.side:g} mm", ""]
+    lines = [f"{series.sample.title}: Cusick drape, {size}, {support}, edges of {1e3 * test.edge_length:g} mm", ""]
     lines.append(f"{'specimen':>8}  {'coefficient':>11}  {'nodes':>5}  {'residual':>8}")
     lines += [
         f"{drape.seed:>8}  {100.0 * drape.coefficient:>9.1f} %  {drape.shadow.nodes:>5}  {drape.residual:>8.1e}"
@@ -137,7 +137,7 @@ def describe(series: DrapeSeries) -> str:
     if series.mesh_error is not None:
         lines.append(f"error of the mesh  {100.0 * series.mesh_error:+.1f} points, from edges 1.5 times as long")
     if fabric.drape_coefficient is not None:
-        low, high = (100.0 * number for number in fabric.drape_coefficient)
+        low, high = (100.0 * bound for bound in fabric.drape_coefficient)
         real = f"{low:.1f} %" if math.isclose(low, high) else f"{low:.0f} to {high:.0f} %"
         lines.append(f"real fabric        {real}")
     if fabric.source:

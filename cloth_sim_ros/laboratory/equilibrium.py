@@ -4,7 +4,7 @@
 
 The cloth moves in air that damps each velocity at the rate c, by explicit steps at their stability limit. The slowest
 oscillation of angular frequency ω decays fastest at c = 2 ω. A sheet that hangs over a length l has ω near sqrt(g / l),
-13 1/s for 6 cm, but a draped one has softer modes: its folds move along it. The default c is between both.
+13 1/s for 6 cm. A draped one has softer modes, because its folds move along it. The default c is between both.
 
 The residual is the largest out-of-balance force on a particle over its weight on Earth. A particle that moves at v has
 lost the force c m v to the air, so that c |v| / g counts as well.

@@ -67,7 +67,7 @@ def _run(options: argparse.Namespace) -> int:
         print(describe(f"{sample.title}: {text}", results[name]), flush=True)
     if options.json is not None:
         content = {
-            name: [{**attrs.asdict(found), "ratio": found.ratio} for found in measurements]
+            name: [{**attrs.asdict(measurement), "ratio": measurement.ratio} for measurement in measurements]
             for name, measurements in results.items()
         }
         write_json({"fabric": sample.fabric.name, "source": sample.fabric.source, "tests": content}, options.json)

@@ -4,9 +4,10 @@
 
 *Bias extension.* Threads at 45 degrees to a strip of length L and width W, L at least 2 W. If threads do not stretch,
 a zone of area (L - 3/2 W) W shears by γ, and zones of area W² by γ/2. The zones at the clamps stay. An extension δ
-shears by γ = 2 δ / (L - W). The work of the force F is the energy of shear, therefore
+shears by γ = 2 δ / (L - W). The work of the force F is the energy of shear. Let both areas
+be A = (L - 3/2 W) W and B = W². Then
 
-    G = F (L - W)² / (4 δ (A + B / 4)),   A = (L - 3/2 W) W,   B = W².
+    G = F (L - W)² / (4 δ (A + B / 4)).
 
 Threads that stretch make this figure smaller than the shear modulus.
 """
@@ -17,7 +18,7 @@ import math
 
 import numpy as np
 
-from cloth_sim_ros.laboratory.samples import Sample
+from cloth_sim_ros.laboratory.samples import FabricSample
 from cloth_sim_ros.laboratory.strips import STIFF_DRAG, Measurement, strip
 from cloth_sim_ros.physics.model.forces.force import Array
 
@@ -37,7 +38,7 @@ _PLANE = {"bending.model": "none", "material.bending_modulus": 0.0, "material.be
 
 
 def _clamp_force(
-    sample: Sample, size: tuple[float, float], angle: float, cells: int, shift: tuple[float, float]
+    sample: FabricSample, size: tuple[float, float], angle: float, cells: int, shift: tuple[float, float]
 ) -> Array:
     """Return the force on the upper clamp that holds a strip, over its width [N/m], (2,).
 
@@ -59,7 +60,7 @@ def _clamp_force(
     return np.asarray(-pull[:2] / width)
 
 
-def measure_tension(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
+def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
     """Measure strips along warp and weft: load at several extensions, and the modulus at the smallest."""
     measurements = []
     for direction, angle, stated in zip(
@@ -82,7 +83,7 @@ def measure_tension(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
     return measurements
 
 
-def measure_shear(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
+def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
     """Measure a specimen between clamps along the weft that move past each other.
 
     The modulus is the slope of the force between the first two angles. The specimen's free sides bear no shear, which
@@ -101,7 +102,7 @@ def measure_shear(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
     return [modulus, *_curve("load", "", SHEAR_ANGLES, loads, unit="rad")]
 
 
-def measure_bias_extension(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
+def measure_bias_extension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
     """Measure a strip at 45 degrees to its threads."""
     length, width = BIAS_SIZE
     loads = [

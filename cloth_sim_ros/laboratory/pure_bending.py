@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from cloth_sim_ros.laboratory.samples import Sample
+from cloth_sim_ros.laboratory.samples import FabricSample
 from cloth_sim_ros.laboratory.strips import STIFF_DRAG, Measurement, strip
 from cloth_sim_ros.physics.model.forces.force import Array
 
@@ -25,7 +25,7 @@ CELLS = 10
 _MAX_RESIDUAL = 0.02
 
 
-def measure_bending(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
+def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
     """Measure strips along warp and weft: moments at several curvatures, and the modulus."""
     measurements = []
     for direction, angle, stated in zip(
@@ -45,7 +45,7 @@ def measure_bending(sample: Sample, *, cells: int = CELLS) -> list[Measurement]:
     return measurements
 
 
-def bending_moment(sample: Sample, angle: float, curvature: float, *, cells: int = CELLS) -> float:
+def bending_moment(sample: FabricSample, angle: float, curvature: float, *, cells: int = CELLS) -> float:
     """Return the moment per width of a strip [N].
 
     Args:

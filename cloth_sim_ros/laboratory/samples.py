@@ -25,7 +25,7 @@ _SHEET_FABRICS = (FABRIC, "bending.rest_angles", "bending.rest_angle", "bending.
 
 
 @attrs.frozen(kw_only=True)
-class Sample:
+class FabricSample:
     """Fabric of a test."""
 
     fabric: Fabric
@@ -60,7 +60,7 @@ class Sample:
         return Scene.from_parameters({"grippers": [""], **self.parameters, **values}, files=files)
 
 
-def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> Sample:
+def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> FabricSample:
     """Return the fabric of a name, of a fabric file, or of a scene file (ROS parameters).
 
     Args:
@@ -76,7 +76,7 @@ def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> Samp
         if name.partition(".")[0] not in _GROUPS or name in _SHEET_FABRICS:
             raise LaboratoryError(f"'{name}' is no parameter of a fabric; give one of {', '.join(_GROUPS)}")
     scene = Scene.from_parameters({"cloth.anchors": [""], **fabric.parameters, **(overrides or {})})
-    return Sample(fabric=fabric, parameters=_fabric_parameters(scene))
+    return FabricSample(fabric=fabric, parameters=_fabric_parameters(scene))
 
 
 def _fabric(source: str) -> Fabric:

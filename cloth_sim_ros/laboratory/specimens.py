@@ -18,7 +18,7 @@ from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
 from cloth_sim_ros.physics.model.forces.force import Array
 
 PATTERNS = ("regular", "irregular")
-#: Distance of rows of regular triangles over their side.
+#: Distance of rows of regular triangles over their edge length.
 ROW = math.sqrt(0.75)
 #: Iterations of Laplace's smoothing, and the fraction of the way that a particle moves in each.
 _SMOOTHING_ITERATIONS, _SMOOTHING_FRACTION = 30, 0.7
@@ -48,36 +48,39 @@ class DiscMesh:
         return float((2.0 * math.sqrt(3.0) * _twice_areas(a, b, c) / squares).min())
 
 
-def disc_mesh(radius: float, plate_radius: float, side: float, *, pattern: str = "regular", seed: int = 0) -> DiscMesh:
+def disc_mesh(
+    radius: float, plate_radius: float, edge_length: float, *, pattern: str = "regular", seed: int = 0
+) -> DiscMesh:
     """Return the mesh of a disc.
 
     Args:
         radius: radius of the disc [m].
         plate_radius: radius of the circle along which there is a ring of particles [m].
-        side: length of an edge [m].
+        edge_length: length of an edge [m].
         pattern: one of `PATTERNS`.
         seed: seed of the angle of the triangles.
 
     Raises:
-        LaboratoryError: for a side that does not fit the disc.
+        LaboratoryError: for an edge length that does not fit the disc.
     """
-    if not 0.0 < 2.0 * side <= min(plate_radius, radius - plate_radius):
+    if not 0.0 < 2.0 * edge_length <= min(plate_radius, radius - plate_radius):
         raise LaboratoryError(
-            f"the mesh's edges are {side:g} m long; they must be above 0 and at most half of {plate_radius:g} m, the "
-            f"radius of the plate, and of {radius - plate_radius:g} m, the overhang"
+            f"the mesh's edges are {edge_length:g} m long; they must be above 0 and at most half of "
+            f"{plate_radius:g} m, the radius of the plate, and of {radius - plate_radius:g} m, the overhang"
         )
-    count = 2.0 * math.pi / math.sqrt(3.0) * (radius / side) ** 2
+    count = 2.0 * math.pi / math.sqrt(3.0) * (radius / edge_length) ** 2
     if count > _MAX_PARTICLES:
         raise LaboratoryError(
-            f"edges of {side:g} m make some {count:.0f} particles; at most {_MAX_PARTICLES} are possible: lengthen them"
+            f"edges of {edge_length:g} m make some {count:.0f} particles; at most {_MAX_PARTICLES} are possible: "
+            "lengthen them"
         )
     if pattern == "regular":
-        return _triangulated(_ring_points(radius, plate_radius, side, seed))
+        return _triangulated(_ring_points(radius, plate_radius, edge_length, seed))
     angle = float(np.random.default_rng(seed).uniform(0.0, 2.0 * math.pi))
-    fixed = np.concatenate([_ring(plate_radius, side, angle), _ring(radius, side, angle)])
-    points = _regular_points(radius, side, angle)
+    fixed = np.concatenate([_ring(plate_radius, edge_length, angle), _ring(radius, edge_length, angle)])
+    points = _regular_points(radius, edge_length, angle)
     distance = np.hypot(*points.T)
-    inside = (distance < radius - 0.6 * side) & (np.abs(distance - plate_radius) > 0.5 * side)
+    inside = (distance < radius - 0.6 * edge_length) & (np.abs(distance - plate_radius) > 0.5 * edge_length)
     points = np.concatenate([fixed, points[inside]])
     for _ in range(_SMOOTHING_ITERATIONS):
         mesh = _triangulated(points)
@@ -100,11 +103,11 @@ def annulus(mesh: DiscMesh, plate_radius: float) -> DiscMesh:
     """
     is_held = is_on_plate(mesh.points, plate_radius)
     touches_edge = np.hypot(*mesh.points.T) > plate_radius * (1.0 - 1e-9)
-    kept = mesh.triangles[(touches_edge[mesh.triangles]).any(axis=1)]
-    particles = np.unique(kept)
+    overhang = mesh.triangles[(touches_edge[mesh.triangles]).any(axis=1)]
+    particles = np.unique(overhang)
     numbers = np.full(len(is_held), -1)
     numbers[particles] = np.arange(len(particles))
-    return DiscMesh(points=mesh.points[particles], triangles=numbers[kept])
+    return DiscMesh(points=mesh.points[particles], triangles=numbers[overhang])
 
 
 def is_on_plate(points: Array, plate_radius: float) -> NDArray[np.bool_]:
@@ -112,29 +115,29 @@ def is_on_plate(points: Array, plate_radius: float) -> NDArray[np.bool_]:
     return np.asarray(np.hypot(*points.T) < plate_radius * (1.0 + 1e-9))
 
 
-def _ring(radius: float, side: float, angle: float) -> Array:
-    """Return points on a circle, one at an angle [rad], about a side apart, shape (k, 2)."""
-    count = max(round(2.0 * math.pi * radius / side), 1)
+def _ring(radius: float, edge_length: float, angle: float) -> Array:
+    """Return points on a circle, one at an angle [rad], about an edge length apart, shape (k, 2)."""
+    count = max(round(2.0 * math.pi * radius / edge_length), 1)
     angles = angle + 2.0 * math.pi * np.arange(count) / count
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _ring_points(radius: float, plate_radius: float, side: float, seed: int) -> Array:
+def _ring_points(radius: float, plate_radius: float, edge_length: float, seed: int) -> Array:
     """Return points on rings, those along the plate's edge and the border among them, (n, 2)."""
     angles = np.random.default_rng(seed)
-    height = side * ROW
+    height = edge_length * ROW
     n_inner, n_outer = round(plate_radius / height), round((radius - plate_radius) / height)
     radii = [plate_radius * k / n_inner for k in range(1, n_inner + 1)]
     radii += [plate_radius + (radius - plate_radius) * k / n_outer for k in range(1, n_outer + 1)]
-    rings = [_ring(r, side, float(angles.uniform(0.0, 2.0 * math.pi))) for r in radii]
+    rings = [_ring(r, edge_length, float(angles.uniform(0.0, 2.0 * math.pi))) for r in radii]
     return np.concatenate([np.zeros((1, 2)), *rings])
 
 
-def _regular_points(radius: float, side: float, angle: float) -> Array:
+def _regular_points(radius: float, edge_length: float, angle: float) -> Array:
     """Return the corners of regular triangles at an angle [rad] over a square of twice the radius, (n, 2)."""
-    n_rows = math.ceil(2.0 * radius / side) + 2
+    n_rows = math.ceil(2.0 * radius / edge_length) + 2
     row, column = (index.ravel() for index in np.mgrid[-n_rows : n_rows + 1, -n_rows : n_rows + 1])
-    x, y = (column + 0.5 * (row % 2)) * side, row * side * ROW
+    x, y = (column + 0.5 * (row % 2)) * edge_length, row * edge_length * ROW
     cosine, sine = math.cos(angle), math.sin(angle)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
 
@@ -146,8 +149,8 @@ def _triangulated(points: Array) -> DiscMesh:
     triangles = Delaunay(points).simplices.astype(np.int64)
     areas = _twice_areas(*(points[corner] for corner in triangles.T))
     triangles = np.where((areas < 0.0)[:, None], triangles[:, ::-1], triangles)
-    kept = np.abs(areas) > 0.05 * float(np.median(np.abs(areas)))
-    return DiscMesh(points=points, triangles=triangles[kept])
+    is_regular = np.abs(areas) > 0.05 * float(np.median(np.abs(areas)))
+    return DiscMesh(points=points, triangles=triangles[is_regular])
 
 
 def _twice_areas(a: Array, b: Array, c: Array) -> Array:

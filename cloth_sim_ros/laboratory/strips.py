@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.laboratory.equilibrium import LaboratoryError, find_equilibrium
-from cloth_sim_ros.laboratory.samples import Sample
+from cloth_sim_ros.laboratory.samples import FabricSample
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
@@ -40,7 +40,7 @@ class Measurement:
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Strip:
+class FabricStrip:
     """Flat strip along y, from y = 0 on, with rows of particles across."""
 
     scene: Scene
@@ -71,13 +71,13 @@ class Strip:
             LaboratoryError: if the strip does not come to rest.
         """
         anchors = [str(particle) for particle in np.flatnonzero(held)]
-        found = find_equilibrium(self.scene.changed({"cloth.anchors": anchors}), start, **options)
-        if not found.is_converged:
+        rest_state = find_equilibrium(self.scene.changed({"cloth.anchors": anchors}), start, **options)
+        if not rest_state.is_converged:
             raise LaboratoryError(
-                f"the strip is not at rest after {found.time:g} s: a force of {found.residual:.2g} of a particle's "
-                "weight is left; try more cells, or a smaller load"
+                f"the strip is not at rest after {rest_state.time:g} s: a force of {rest_state.residual:.2g} of a "
+                "particle's weight is left; try more cells, or a smaller load"
             )
-        return found.positions
+        return rest_state.positions
 
     def forces(self, positions: Array) -> Array:
         """Return the force of the strip on each particle [N], held ones included, shape (n, 3)."""
@@ -89,7 +89,7 @@ class Strip:
 
 
 def strip(
-    sample: Sample,
+    sample: FabricSample,
     *,
     length: float,
     width: float,
@@ -97,7 +97,7 @@ def strip(
     angle: float,
     min_columns: int = 3,
     values: Mapping[str, Any] | None = None,
-) -> Strip:
+) -> FabricStrip:
     """Return a strip that nothing holds.
 
     Args:
@@ -122,7 +122,7 @@ def strip(
             **(values or {}),
         }
     )
-    return Strip(scene=scene, points=scene.initial_positions(), cell=cell)
+    return FabricStrip(scene=scene, points=scene.initial_positions(), cell=cell)
 
 
 def _direction(angle: float) -> list[float]:
@@ -135,11 +135,11 @@ def _direction(angle: float) -> list[float]:
 
 def describe(title: str, measurements: Sequence[Measurement]) -> str:
     """Return measurements as a table under a title."""
-    width = max(len(found.quantity) for found in measurements)
+    width = max(len(measurement.quantity) for measurement in measurements)
     lines = [title, f"  {'':{width}}  {'':5}  {'measured':>10}  {'fabric':>10}  {'ratio':>6}"]
-    for found in measurements:
-        stated = "" if found.stated is None else f"{found.stated:.4g}"
-        ratio = "" if found.ratio is None else f"{found.ratio:.3f}"
-        line = f"  {found.quantity:{width}}  {found.direction:5}  {found.measured:>10.4g}  {stated:>10}  {ratio:>6}"
-        lines.append(f"{line}  {found.unit}")
+    for measurement in measurements:
+        stated = "" if measurement.stated is None else f"{measurement.stated:.4g}"
+        ratio = "" if measurement.ratio is None else f"{measurement.ratio:.3f}"
+        line = f"  {measurement.quantity:{width}}  {measurement.direction:5}  {measurement.measured:>10.4g}"
+        lines.append(f"{line}  {stated:>10}  {ratio:>6}  {measurement.unit}")
     return "\n".join([*lines, ""])

@@ -21,22 +21,22 @@ def sheet(**values: object) -> Scene:
 def test_hanging_sheet_stretches_by_its_weight() -> None:
     # Springs along the columns alone carry the weight: extension w L² / 2 E.
     scene = sheet(**{"material.shear_modulus": 0.0, "bending.model": "none"})
-    found = find_equilibrium(scene)
-    assert found.is_converged
-    assert found.residual < MAX_RESIDUAL
-    extension = np.ptp(found.positions[:, 2]) - 0.2
+    equilibrium = find_equilibrium(scene)
+    assert equilibrium.is_converged
+    assert equilibrium.residual < MAX_RESIDUAL
+    extension = np.ptp(equilibrium.positions[:, 2]) - 0.2
     assert extension == pytest.approx(0.2 * 9.81 * 0.2**2 / (2.0 * 200.0), rel=0.01)
 
 
 def test_equilibrium_is_one_for_the_simulation_too() -> None:
     scene = sheet(**{"cloth.orientation": [0.0, 0.0, 0.0, 1.0]})
-    found = find_equilibrium(scene, max_residual=1e-6)
-    assert found.is_converged
+    equilibrium = find_equilibrium(scene, max_residual=1e-6)
+    assert equilibrium.is_converged
     simulation = Simulation(scene)
-    simulation.state.x = np.ascontiguousarray(found.positions.T)
+    simulation.state.x = np.ascontiguousarray(equilibrium.positions.T)
     for _ in range(30):
         simulation.advance()
-    assert np.abs(simulation.positions - found.positions).max() < 1e-5
+    assert np.abs(simulation.positions - equilibrium.positions).max() < 1e-5
 
 
 def test_loading_time_does_not_change_a_single_equilibrium() -> None:
@@ -52,14 +52,14 @@ def test_loading_time_does_not_change_a_single_equilibrium() -> None:
 def test_start_moves_anchored_particles() -> None:
     scene = sheet(**{"gravity": [0.0, 0.0, 0.0]})
     start = scene.initial_positions() + np.array([0.0, 0.0, 0.05])
-    found = find_equilibrium(scene, start)
-    assert np.abs(found.positions - start).max() < 1e-12
+    equilibrium = find_equilibrium(scene, start)
+    assert np.abs(equilibrium.positions - start).max() < 1e-12
 
 
 def test_end_without_rest_is_told() -> None:
-    found = find_equilibrium(sheet(**{"cloth.orientation": [0.0, 0.0, 0.0, 1.0]}), max_time=0.1)
-    assert not found.is_converged
-    assert found.residual > MAX_RESIDUAL
+    equilibrium = find_equilibrium(sheet(**{"cloth.orientation": [0.0, 0.0, 0.0, 1.0]}), max_time=0.1)
+    assert not equilibrium.is_converged
+    assert equilibrium.residual > MAX_RESIDUAL
 
 
 def test_wind_is_refused() -> None:

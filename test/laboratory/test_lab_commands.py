@@ -14,7 +14,7 @@ from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
 from cloth_sim_ros.laboratory.samples import read_sample
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
-QUICK = ["--side", "0.013", "--specimens", "1"]
+QUICK = ["--edge-length", "0.013", "--specimens", "1"]
 SCENE = "/**:\n  ros__parameters:\n    material:\n      fabric: denim\n      density: 0.3\n"
 FABRIC = "title: mine\nparameters:\n  material.bending_modulus: 1.0e-5\n  bending.model: crossed\n"
 
@@ -51,7 +51,7 @@ def test_lab_prints_and_writes_a_test(tmp_path: Path, capsys: pytest.CaptureFixt
         (["denim", "--set", "gravity"], "NAME=VALUE"),
         (["denim", "--set", "air.drag=1.0"], "no parameter of a fabric"),
         (["denim", "--plate", "0.4"], "plate"),
-        (["denim", "--side", "0.1"], "edges"),
+        (["denim", "--edge-length", "0.1"], "edges"),
         (["denim", "--seed", "-1"], "--seed"),
         (["denim", "--json", "/nowhere/out.json"], "--json"),
     ],

@@ -3,7 +3,7 @@
 """Drapes of six woven fabrics against their real drape coefficients.
 
 The bending moduli of all fabrics are multiplied by one factor, because their conversion from raw measurements is
-uncertain. The factor is found on three fabrics by least squares and applied to the other three, in each of the 20
+uncertain. The factor is fitted to three fabrics by least squares and applied to the other three, in each of the 20
 splits.
 """
 
@@ -17,7 +17,7 @@ import time
 
 import numpy as np
 
-from cloth_sim_ros.laboratory.drape import SIDE, DrapeTest
+from cloth_sim_ros.laboratory.drape import EDGE_LENGTH, DrapeTest
 from cloth_sim_ros.laboratory.drape_series import DrapeSeries, drape_series
 from cloth_sim_ros.laboratory.samples import read_sample
 from validation.report import Report, Table, print_progress
@@ -58,17 +58,19 @@ def split_errors(
     splits = []
     for known in itertools.combinations(real, len(real) // 2):
         factor = fitted_factor(factors, curves, {fabric: real[fabric] for fabric in known})
-        others = [fabric for fabric in real if fabric not in known]
-        found = [float(np.interp(math.log(factor), np.log(factors), curves[fabric])) for fabric in others]
-        splits.append((known, factor, [value - real[fabric] for value, fabric in zip(found, others, strict=True)]))
+        blind = [fabric for fabric in real if fabric not in known]
+        coefficients = [float(np.interp(math.log(factor), np.log(factors), curves[fabric])) for fabric in blind]
+        splits.append(
+            (known, factor, [value - real[fabric] for value, fabric in zip(coefficients, blind, strict=True)])
+        )
     return splits
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--specimens", type=int, default=2, help="specimens of each drape (default: %(default)s)")
-    side = "length of the mesh's edges [m] (default: %(default)s)"
-    parser.add_argument("--side", type=float, default=SIDE, help=side)
+    edge_length = "length of the mesh's edges [m] (default: %(default)s)"
+    parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH, help=edge_length)
     parser.add_argument("--factors", type=float, nargs="+", default=FACTORS, help="factors on the bending moduli")
 
 
@@ -76,7 +78,7 @@ def run(options: argparse.Namespace) -> Report:
     """Drape all fabrics at all factors."""
     if options.specimens < 1 or len(options.factors) < 2 or min(options.factors) <= 0.0:
         raise ValueError("--specimens must be at least 1, and --factors at least two positive numbers")
-    test, factors, failures = DrapeTest(side=options.side), sorted(options.factors), list[str]()
+    test, factors, failures = DrapeTest(edge_length=options.edge_length), sorted(options.factors), list[str]()
     real, curves, nodes, times = {}, {}, {}, []
     for fabric in FABRICS:
         stated = read_sample(fabric).fabric.drape_coefficient
@@ -97,10 +99,10 @@ def run(options: argparse.Namespace) -> Report:
     table.columns += [f"x {best:.2f}", "real", "nodes", "error of the mesh"]
     for fabric in FABRICS:
         series_at_best = scaled_drapes(fabric, best, test, options.specimens, with_mesh_error=True)
-        error, found = series_at_best.mesh_error or 0.0, series_at_best.coefficient
-        row = [*curves[fabric], found, real[fabric]]
+        error, coefficient = series_at_best.mesh_error or 0.0, series_at_best.coefficient
+        row = [*curves[fabric], coefficient, real[fabric]]
         table.rows.append([fabric, *(100.0 * value for value in row), series_at_best.nodes, 100.0 * error])
-        print_progress(f"{fabric} x {best:.2f}: {100 * found:.1f} %, error of the mesh {100 * error:+.1f}")
+        print_progress(f"{fabric} x {best:.2f}: {100 * coefficient:.1f} %, error of the mesh {100 * error:+.1f}")
         if abs(error) > MAX_MESH_ERROR:
             failures.append(f"{fabric}: the mesh is in error by {100.0 * error:+.1f} points")
     splits = Table(
@@ -117,7 +119,7 @@ def run(options: argparse.Namespace) -> Report:
         )
     if max(times) > MAX_TIME:
         failures.append(f"the slowest drape took {max(times):.1f} s of processor time")
-    note = f"edges of {1e3 * options.side:g} mm, {options.specimens} specimens; slowest drape {max(times):.1f} s"
+    note = f"edges of {1e3 * options.edge_length:g} mm, {options.specimens} specimens; slowest drape {max(times):.1f} s"
     return Report(
         "Six woven fabrics", "python -m validation drapes", tables=[table, splits], notes=[note], failures=failures
     )
