@@ -36,8 +36,8 @@ EDGE_LENGTH = 0.005
 COARSENING = 1.5
 #: Standard deviation of a particle's height at the beginning [m].
 _PERTURBATION = 1e-4
-#: Height of the plate [m], and its name as an obstacle.
-_PLATE_HEIGHT, _PLATE = 0.02, "plate"
+#: Height of a plate [m], and sides of the specimen on which plates lie.
+_PLATE_HEIGHT, _PLATES = 0.02, {"plate": -1.0, "cover": 1.0}
 
 
 @attrs.frozen(kw_only=True)
@@ -54,11 +54,11 @@ class DrapeTest:
     #: Length of an edge of the mesh [m], and its pattern.
     edge_length: float = EDGE_LENGTH
     pattern: str = "regular"
-    #: True for contact with the plate, false for particles that are held on it.
+    #: True for contact with the plate and a cover on it, false for particles that are held.
     contact: bool = False
     #: Static and kinetic coefficients of friction between specimen and plate.
     friction: tuple[float, float] = (0.4, 0.3)
-    #: Distance of the specimen's middle surface from the plate [m].
+    #: Distance of the specimen's middle surface from both plates [m].
     thickness: float = 0.001
     #: Time during which the load grows [s].
     loading_time: float = 1.2
@@ -163,14 +163,16 @@ def mesh_error(fine: Drape, coarse: Drape) -> float:
 
 
 def _plate_parameters(test: DrapeTest) -> dict[str, object]:
-    return {
-        "obstacles": [_PLATE],
-        f"{_PLATE}.shape": "cylinder",
-        f"{_PLATE}.size": [test.plate_radius, _PLATE_HEIGHT],
-        f"{_PLATE}.position": [0.0, 0.0, -0.5 * _PLATE_HEIGHT - test.thickness],
-        f"{_PLATE}.friction": list(test.friction),
-        "contact.thickness": test.thickness,
-    }
+    """Return the parameters of two plates of one radius, between which the specimen lies."""
+    values: dict[str, object] = {"obstacles": list(_PLATES), "contact.thickness": test.thickness}
+    for name, sign in _PLATES.items():
+        values |= {
+            f"{name}.shape": "cylinder",
+            f"{name}.size": [test.plate_radius, _PLATE_HEIGHT],
+            f"{name}.position": [0.0, 0.0, sign * (0.5 * _PLATE_HEIGHT + test.thickness)],
+            f"{name}.friction": list(test.friction),
+        }
+    return values
 
 
 def _resampled(start: Drape, mesh: DiscMesh, held: NDArray[np.bool_]) -> Array:
