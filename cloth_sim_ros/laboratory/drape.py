@@ -30,8 +30,8 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Diameter of the specimen and of the plate [m].
 DIAMETER, PLATE_DIAMETER = 0.30, 0.18
-#: Length of an edge [m].
-EDGE_LENGTH = 0.005
+#: Length of an edge of a held specimen, and of one in contact with the plate, whose drape takes longer [m].
+EDGE_LENGTH, CONTACT_EDGE_LENGTH = 0.005, 0.0075
 #: Ratio of the sides of the coarser and the finer mesh of an estimate of the mesh error.
 COARSENING = 1.5
 #: Standard deviation of a particle's height at the beginning [m].

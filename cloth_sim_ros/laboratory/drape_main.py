@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     add_sample_options(parser)
     parser.add_argument("--diameter", type=float, default=0.3, metavar="M", help="of the specimen [m] (default 0.3)")
     parser.add_argument("--plate", type=float, default=0.18, metavar="M", help="diameter of the plate (default 0.18)")
-    edge_length = "length of the mesh's edges [m] (default 0.005, times diameter / 0.3 m)"
+    edge_length = "length of the mesh's edges [m] (default 0.005, by contact 0.0075, times diameter / 0.3 m)"
     parser.add_argument("--edge-length", type=float, metavar="M", help=edge_length)
     pattern = "mesh: rings around the centre, or irregular triangles (default regular)"
     parser.add_argument("--pattern", choices=("regular", "irregular"), default="regular", help=pattern)
@@ -64,17 +64,18 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from cloth_sim_ros.laboratory.drape import DIAMETER, EDGE_LENGTH, DrapeTest
+    from cloth_sim_ros.laboratory.drape import CONTACT_EDGE_LENGTH, DIAMETER, EDGE_LENGTH, DrapeTest
     from cloth_sim_ros.laboratory.drape_picture import write_picture
     from cloth_sim_ros.laboratory.drape_series import describe, drape_series
     from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
 
     if options.seed < 0:
         raise LaboratoryError(f"--seed is {options.seed}; it must be at least 0")
+    edge_length = (CONTACT_EDGE_LENGTH if options.contact else EDGE_LENGTH) * options.diameter / DIAMETER
     test = DrapeTest(
         diameter=options.diameter,
         plate_diameter=options.plate,
-        edge_length=EDGE_LENGTH * options.diameter / DIAMETER if options.edge_length is None else options.edge_length,
+        edge_length=edge_length if options.edge_length is None else options.edge_length,
         pattern=options.pattern,
         contact=options.contact,
     )
