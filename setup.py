@@ -180,6 +180,8 @@ setup(
             "cloth_batch = cloth_sim_ros.studies.command:main",
             "cloth_session = cloth_sim_ros.session.command:main",
             "cloth_fit = cloth_sim_ros.fit.command:main",
+            "cloth_drape = cloth_sim_ros.laboratory.drape_command:main",
+            "cloth_lab = cloth_sim_ros.laboratory.lab_command:main",
             "cloth_bench = cloth_sim_ros.session.moved_bench:main",
         ],
     },

@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[str, str, list[str]]] = {
     "cloth_verify": ("cloth_sim_ros.verify.command", "mcap", [str(SESSION)]),
     "cloth_replay": ("cloth_sim_ros.replay.command", "rerun", [str(SESSION), "--save", "{folder}/out.rrd"]),
     "cloth_batch": ("cloth_sim_ros.studies.command", "distributed", ["check", "{folder}/scene.yaml"]),
+    "cloth_drape": ("cloth_sim_ros.laboratory.drape_command", "scipy", ["denim"]),
     "cloth_fit": ("cloth_sim_ros.fit.command", "mcap", [str(SESSION), "--parameters", "stretch"]),
 }
 

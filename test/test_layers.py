@@ -41,7 +41,7 @@ FILES = {"mcap", "rosbags", "yaml"}
 #: Rooms, and `batch`, the old address of three of them.
 SUBPACKAGES = (
     *("engine", "physics", "scene", "camera", "simulation", "session", "verify", "replay", "ros"),
-    *("studies", "learning", "fit", "batch"),
+    *("studies", "learning", "fit", "laboratory", "batch"),
 )
 
 # For each subpackage: the subpackages it may load, and the libraries it must not load.
@@ -59,6 +59,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     # Environments inherit from gymnasium's classes.
     "learning": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE - {"gymnasium"}),
     "fit": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
+    "laboratory": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
     # Old addresses of the three.
     "batch": (
         {"engine", "physics", "scene", "simulation", "session", "studies", "learning", "fit"},
@@ -72,7 +73,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 # folders beside it, that each may import.
 _MEASURED = {"engine", "physics", "scene", "simulation", "session", "verify"}
 MEASURING_FOLDERS: dict[str, tuple[set[str], set[str]]] = {
-    "validation": (_MEASURED | {"fit"}, {"support"}),
+    "validation": (_MEASURED | {"fit", "laboratory"}, {"support"}),
     "benchmarks": (_MEASURED | {"camera", "studies", "learning", "ros"}, {"support", "validation"}),
 }
 #: Folders of the tests of both, without which the product's tests pass.
@@ -155,6 +156,8 @@ def test_only_public_rclpy_api_is_used() -> None:
         "verify.main",
         "studies.main",
         "session.moved_bench",
+        "laboratory.drape_main",
+        "laboratory.lab_main",
         "ros.gripper_main",
         "ros.viewer_main",
     ],

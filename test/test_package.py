@@ -30,7 +30,7 @@ SOURCES = [
 SHELL = [ROOT / "Makefile", ROOT / ".ci" / "run", *sorted((ROOT / "scripts").glob("*.sh"))]
 COMMANDS = {
     "cloth_sim", "cloth_gripper", "cloth_replay", "cloth_verify", "cloth_session", "cloth_bench",
-    "cloth_batch", "cloth_fit", "cloth_viewer",
+    "cloth_batch", "cloth_fit", "cloth_viewer", "cloth_drape", "cloth_lab",
 }  # fmt: skip
 
 

@@ -31,6 +31,8 @@ COMMANDS = {
     "reality": ("validation.reality.command", "fits to a synthetic copy of recorded swings of a real cloth"),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
     "fabric-moduli": ("validation.moduli.fabric", "strips cut at angles to the warp against laminate theory"),
+    "drapes": ("validation.reality.drapes", "six woven fabrics against their real drape coefficients"),
+    "presets": ("validation.reality.presets", "the package's fabrics: drapes over meshes, and cantilevers"),
 }
 
 

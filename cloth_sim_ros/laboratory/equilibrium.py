@@ -1,0 +1,131 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Equilibrium of a scene by relaxation in viscous air.
+
+The cloth moves in air that damps each velocity at the rate c, by explicit steps at their stability limit. The slowest
+oscillation of angular frequency ω decays fastest at c = 2 ω. A sheet that hangs over a length l has ω near sqrt(g / l),
+13 1/s for 6 cm. A draped one has softer modes, because its folds move along it. The default c is between both.
+
+The residual is the largest out-of-balance force on a particle over its weight on Earth. A particle that moves at v has
+lost the force c m v to the air, so that c |v| / g counts as well.
+"""
+
+from __future__ import annotations
+
+import math
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.thread_limit import single_threaded
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: Drag of the air in which a cloth relaxes [1/s].
+RELAXATION_DRAG = 8.0
+#: Largest residual of an equilibrium.
+MAX_RESIDUAL = 1e-3
+#: Unit of accelerations [m/s^2].
+_GRAVITY = 9.81
+
+
+class LaboratoryError(ValueError):
+    """A test that can't be done. The message is for the command line."""
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Equilibrium:
+    """State of rest of a cloth, or the state at which its relaxation ended without one."""
+
+    #: Positions [m], shape (n, 3).
+    positions: Array
+    #: Largest out-of-balance force on a particle over its weight.
+    residual: float
+    #: Simulated time of the relaxation [s].
+    time: float
+    #: True if the residual is below its limit.
+    is_converged: bool
+
+
+def find_equilibrium(
+    scene: Scene,
+    start: Array | None = None,
+    *,
+    loading_time: float = 0.0,
+    drag: float = RELAXATION_DRAG,
+    max_residual: float = MAX_RESIDUAL,
+    max_time: float = 30.0,
+) -> Equilibrium:
+    """Let a cloth come to rest, on one thread.
+
+    Args:
+        scene: the cloth; its anchors and obstacles stay where they are.
+        start: positions at the beginning, those of anchored particles included [m], shape (n, 3); None for the scene's.
+        loading_time: time during which gravity grows from zero to its value [s].
+        drag: rate at which the air damps velocities [1/s].
+        max_residual: largest residual of the result.
+        max_time: simulated time after which the relaxation ends [s].
+
+    Raises:
+        LaboratoryError: for wind, in which the air would move the cloth.
+        UnstableError: if the motion does not stay finite.
+    """
+    if any(scene.wind.velocity):
+        raise LaboratoryError(
+            f"wind.velocity is {list(scene.wind.velocity)} m/s; relaxation needs still air: set it to [0.0, 0.0, 0.0]"
+        )
+    gravity = scene.gravity
+    first = _scaled(gravity, 0.0) if loading_time else gravity
+    still = {"air.drag": drag, "wind.normal_drag": 0.0, "wind.tangential_drag": 0.0}
+    quick = {"integrator": "leapfrog", "tolerance": 0.0, "step": 0.0, "work_limit": 0.0, "diagnostics.energy": False}
+    relaxing = scene.changed({**still, **quick, "gravity": first})
+    state = relaxing.starting_state()
+    if start is not None:
+        state = State(start, cloth=state.cloth)
+    with single_threaded():
+        simulation = Simulation(relaxing, state)
+        n_loading = math.ceil(loading_time * scene.rate)
+        residual = math.inf
+        for frame in range(math.ceil(max_time * scene.rate)):
+            events = []
+            if frame < n_loading:
+                events.append(SetParameters({"gravity": _scaled(gravity, (frame + 1) / n_loading)}))
+            simulation.advance(events)
+            if frame + 1 >= n_loading:
+                residual = out_of_balance(simulation.plan, simulation.state, simulation.time, drag)
+                if residual < max_residual:
+                    break
+    return Equilibrium(
+        positions=simulation.positions,
+        residual=residual,
+        time=simulation.time,
+        is_converged=residual < max_residual,
+    )
+
+
+def out_of_balance(plan: Plan, state: State, t: float, drag: float) -> float:
+    """Return the largest out-of-balance force on a particle over its weight on Earth.
+
+    Args:
+        plan: equations of motion.
+        state: positions, velocities and memory.
+        t: time [s].
+        drag: rate at which the air damps velocities [1/s].
+    """
+    acceleration = np.empty_like(state.x)
+    plan.accelerations(t, state.x, np.zeros_like(state.x), acceleration, state.memory)
+    return max(_largest(acceleration), drag * _largest(state.v)) / _GRAVITY
+
+
+def _largest(vectors: Array) -> float:
+    """Return the length of the longest of vectors (3, n)."""
+    x, y, z = vectors
+    return math.sqrt(float((x * x + y * y + z * z).max()))
+
+
+def _scaled(vector: tuple[float, ...], factor: float) -> list[float]:
+    return [factor * coordinate for coordinate in vector]

@@ -1,0 +1,14 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Entry point of the command `cloth_lab`; it imports the command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cloth_sim_ros.session.command_runner import run_command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit status."""
+    return run_command("cloth_lab", "cloth_sim_ros.laboratory.lab_main", arguments)

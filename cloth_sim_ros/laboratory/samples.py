@@ -1,0 +1,111 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fabric of a textile test, from a fabric's name, a fabric file or a scene file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import attrs
+import yaml
+
+from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
+from cloth_sim_ros.scene.fabrics import Fabric, fabrics, read_fabric
+from cloth_sim_ros.scene.files import FABRIC, is_fabric_file
+from cloth_sim_ros.scene.parameters import parameter_file, ros_yaml
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+
+#: Groups of a scene's parameters that describe its fabric.
+_GROUPS = ("material", "membrane", "bending")
+#: Parameters of these groups that belong to one sheet.
+_SHEET_FABRICS = (FABRIC, "bending.rest_angles", "bending.rest_angle", "bending.flat")
+
+
+@attrs.frozen(kw_only=True)
+class FabricSample:
+    """Fabric of a test."""
+
+    fabric: Fabric
+    #: Every parameter of the fabric by full name, defaults included.
+    parameters: dict[str, Any]
+
+    @property
+    def title(self) -> str:
+        """Name of the fabric for people."""
+        return self.fabric.title or self.fabric.name
+
+    @property
+    def density(self) -> float:
+        """Mass per area [kg/m^2]."""
+        return float(self.parameters["material.density"])
+
+    def pair(self, name: str) -> tuple[float, float]:
+        """Return a parameter's values along warp and weft, e.g. of ``material.bending_modulus``."""
+        warp = float(self.parameters[name])
+        return warp, float(self.parameters[f"{name}_weft"]) or warp
+
+    def scene(self, values: Mapping[str, Any], files: Mapping[str, bytes] | None = None) -> Scene:
+        """Return a scene of the fabric without grippers.
+
+        Args:
+            values: further parameters, which override the fabric's.
+            files: content of files that they name.
+
+        Raises:
+            ParameterError: for values that make no scene.
+        """
+        return Scene.from_parameters({"grippers": [""], **self.parameters, **values}, files=files)
+
+
+def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> FabricSample:
+    """Return the fabric of a name, of a fabric file, or of a scene file (ROS parameters).
+
+    Args:
+        source: name of a fabric, or path of a file.
+        overrides: parameters of the fabric that replace its own, by full name.
+
+    Raises:
+        ParameterError: for an unknown fabric, a file that can't be read, or an invalid value.
+        LaboratoryError: for overrides that are no parameters of a fabric.
+    """
+    fabric = _fabric(source)
+    for name in overrides or {}:
+        if name.partition(".")[0] not in _GROUPS or name in _SHEET_FABRICS:
+            raise LaboratoryError(f"'{name}' is no parameter of a fabric; give one of {', '.join(_GROUPS)}")
+    scene = Scene.from_parameters({"cloth.anchors": [""], **fabric.parameters, **(overrides or {})})
+    return FabricSample(fabric=fabric, parameters=_fabric_parameters(scene))
+
+
+def _fabric(source: str) -> Fabric:
+    if source in fabrics():
+        return fabrics()[source]
+    if not is_fabric_file(source) and not Path(source).exists():
+        raise ParameterError(f"'{source}' is neither a file nor a fabric; the fabrics are {', '.join(fabrics())}")
+    text = parameter_file.text_of(source)
+    try:
+        content = ros_yaml.load(text)
+    except yaml.YAMLError as error:
+        raise ParameterError(f"'{source}' is no YAML: {error}") from error
+    if isinstance(content, dict) and "parameters" in content:
+        return read_fabric(source, text.encode())
+    values = parameter_file.parse(text, source=source, strict=True)
+    scene = Scene.from_parameters(values, folder=Path(source).parent)
+    base = fabrics().get(str(values.get(FABRIC, "")))
+    return Fabric(
+        name=source,
+        title=f"fabric of {Path(source).name}",
+        drape_coefficient=None if base is None else base.drape_coefficient,
+        parameters=_fabric_parameters(scene),
+    )
+
+
+def _fabric_parameters(scene: Scene) -> dict[str, Any]:
+    """Return the parameters of a scene that describe its fabric."""
+    return {
+        name: value
+        for name, value in scene.parameters().items()
+        if name.partition(".")[0] in _GROUPS and name not in _SHEET_FABRICS
+    }
