@@ -90,20 +90,20 @@ def read_track(path: Path, start: float, *, scale: float = 1.0) -> RecordedGripp
         FitError: naming file, line and fault.
     """
     from cloth_sim_ros.simulation import pose_table
-    from cloth_sim_ros.simulation.gripper_script import ScriptError
+    from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
     try:
-        begin, script = pose_table.read_stamped(path)
-    except ScriptError as error:
-        raise FitError(str(error)) from error
-    offset = begin - start
-    grasps = [(grasp.time + offset, grasp.closed) for grasp in script.grasps]
-    # A gripper whose table does not say so is closed all the time.
+        table = pose_table.read(path)
+        script = GripperScript.from_table(table)
+    except (pose_table.PoseTableError, ScriptError) as error:
+        raise FitError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+    offset = table.start - start
     return RecordedGripper(
-        times=np.array([entry.time for entry in script.waypoints]) + offset,
+        times=np.array(table.times) + offset,
         positions=scale * np.array([entry.position for entry in script.waypoints]),
         quaternions=[entry.orientation for entry in script.waypoints],
-        grasps=() if len(grasps) == 1 and grasps[0][1] else tuple(grasps),
+        # A gripper whose table does not say so is closed all the time.
+        grasps=() if table.closed is None else tuple((grasp.time + offset, grasp.closed) for grasp in script.grasps),
     )
 
 

@@ -20,6 +20,8 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import normalized, rotated_by, rotation_vector
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.parameters import ros_yaml
+from cloth_sim_ros.simulation import pose_table
+from cloth_sim_ros.simulation.pose_table import PoseTable
 
 Vector = tuple[float, ...]
 #: Target rate of a script that gives none [Hz].
@@ -74,9 +76,12 @@ class GripperScript:
             ScriptError: naming the file and the fault.
         """
         if Path(path).suffix.lower() == ".csv":
-            from cloth_sim_ros.simulation import pose_table
-
-            return pose_table.read(path)
+            try:
+                return cls.from_table(pose_table.read(path))
+            except pose_table.PoseTableError as error:
+                raise ScriptError(str(error)) from error
+            except ScriptError as error:
+                raise ScriptError(f"{path}: {error}") from error
         import yaml
 
         try:
@@ -87,6 +92,18 @@ class GripperScript:
             return cls.from_dict(content)
         except ScriptError as error:
             raise ScriptError(f"{path}: {error}") from error
+
+    @classmethod
+    def from_table(cls, table: PoseTable) -> GripperScript:
+        """Return recorded poses as a script.
+
+        A gripper whose table does not say so is closed from the first pose on.
+
+        Raises:
+            ScriptError: for a pose that is not finite, or has no unit quaternion.
+        """
+        closed = True if table.closed is None else table.closed
+        return cls.from_poses(table.times, table.poses, closed=closed, frame_id=table.frame_id)
 
     @classmethod
     def from_dict(cls, content: Any) -> GripperScript:

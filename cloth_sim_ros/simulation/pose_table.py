@@ -8,8 +8,9 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+import attrs
+
 from cloth_sim_ros.scene import input_file
-from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 #: Largest table [bytes].
 _MAX_BYTES = 1 << 28
@@ -20,45 +21,51 @@ _KNOWN = ("time", *_ECHO, "closed")
 _FLAGS = {"0": False, "1": True, "false": False, "true": True}
 
 
-def read(path: str | Path, *, gripper: str = "gripper") -> GripperScript:
+class PoseTableError(ValueError):
+    """A table that can't be read; the message gives the reason."""
+
+
+@attrs.frozen(kw_only=True)
+class PoseTable:
+    """Poses of a gripper over time."""
+
+    #: Time of the first pose by the clock of the table [s].
+    start: float
+    #: Times since then [s], increasing.
+    times: list[float]
+    #: Position [m], and quaternion x, y, z, w if the table has it, of each pose.
+    poses: list[list[float]]
+    #: Whether the gripper is closed at each pose; None if the table does not say so.
+    closed: list[bool] | None
+    #: Coordinate frame of the poses; empty if the table does not name it.
+    frame_id: str
+
+
+def read(path: str | Path) -> PoseTable:
     """Read a table of poses.
 
     The first line names the columns. They are `time` [s], or `sec` and `nanosec`, and the position `x`, `y`, `z` [m].
     A unit quaternion `qx`, `qy`, `qz`, `qw`, `closed` (0 or 1) and `frame_id` are optional. A table without that line
-    has the columns of `ros2 topic echo --csv` of a PoseStamped. Without `closed`, the gripper is closed from the first
-    pose on.
-
-    Args:
-        path: the file.
-        gripper: name of the gripper.
+    has the columns of `ros2 topic echo --csv` of a PoseStamped.
 
     Raises:
-        ScriptError: naming the file, the line and the fault.
-    """
-    return read_stamped(path, gripper=gripper)[1]
-
-
-def read_stamped(path: str | Path, *, gripper: str = "gripper") -> tuple[float, GripperScript]:
-    """Return the time of the first pose by the clock of the table [s], and the script, which begins there.
-
-    Raises:
-        ScriptError: as `read`.
+        PoseTableError: naming the file, the line and the fault.
     """
     try:
         lines = input_file.read_text(path, max_bytes=_MAX_BYTES).splitlines()
     except (OSError, ValueError) as error:
-        raise ScriptError(f"cannot read the poses '{path}': {error}") from error
+        raise PoseTableError(f"cannot read the poses '{path}': {error}") from error
     try:
-        return _script(lines, gripper)
-    except (ScriptError, csv.Error) as error:
-        raise ScriptError(f"{path}: {error}") from error
+        return _parse(lines)
+    except (PoseTableError, csv.Error) as error:
+        raise PoseTableError(f"{path}: {error}") from error
 
 
-def _script(lines: Sequence[str], gripper: str) -> tuple[float, GripperScript]:
+def _parse(lines: Sequence[str]) -> PoseTable:
     reader = csv.reader(lines, skipinitialspace=True)
     rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
     if not rows:
-        raise ScriptError("the table is empty")
+        raise PoseTableError("the table is empty")
     columns = tuple(name.lower() for name in rows[0][1])
     if len(columns) == len(_ECHO) and columns[0].isdecimal():
         columns = _ECHO
@@ -70,7 +77,7 @@ def _script(lines: Sequence[str], gripper: str) -> tuple[float, GripperScript]:
     first_second = 0.0
     for line, row in rows:
         if len(row) != len(columns):
-            raise ScriptError(f"line {line} has {len(row)} entries; the table has {len(columns)} columns")
+            raise PoseTableError(f"line {line} has {len(row)} entries; the table has {len(columns)} columns")
         cells = dict(zip(columns, row, strict=True))
         numbers = {
             name: _read_number(cells[name], name, line) for name in columns if name not in ("closed", "frame_id")
@@ -82,40 +89,45 @@ def _script(lines: Sequence[str], gripper: str) -> tuple[float, GripperScript]:
             numbers["time"] if "time" in numbers else numbers["sec"] - first_second + 1e-9 * numbers["nanosec"]
         )
         if times[1:] and times[-1] <= times[-2]:
-            raise ScriptError(f"line {line} is not later than the line before; times must increase")
+            raise PoseTableError(f"line {line} is not later than the line before; times must increase")
         poses.append([numbers[name] for name in names])
         frames.add(cells.get("frame_id", ""))
         if "closed" in cells:
             if cells["closed"].lower() not in _FLAGS:
-                raise ScriptError(f"line {line}: closed is '{cells['closed']}'; it must be 0 or 1")
+                raise PoseTableError(f"line {line}: closed is '{cells['closed']}'; it must be 0 or 1")
             closed.append(_FLAGS[cells["closed"].lower()])
     if not times:
-        raise ScriptError("the table has no pose")
+        raise PoseTableError("the table has no pose")
     if len(frames) > 1:
-        raise ScriptError(f"the poses are in several frames: {', '.join(sorted(frames))}; transform them into one")
+        raise PoseTableError(f"the poses are in several frames: {', '.join(sorted(frames))}; transform them into one")
     (frame_id,) = frames
-    script = GripperScript.from_poses(times, poses, gripper=gripper, closed=closed or True, frame_id=frame_id)
-    return first_second + times[0], script
+    return PoseTable(
+        start=first_second + times[0],
+        times=[time - times[0] for time in times],
+        poses=poses,
+        closed=closed or None,
+        frame_id=frame_id,
+    )
 
 
 def _check_columns(columns: Sequence[str]) -> None:
     unknown = [name for name in columns if name not in _KNOWN]
     if unknown:
-        raise ScriptError(f"the first line has the unknown column '{unknown[0]}'; known are {', '.join(_KNOWN)}")
+        raise PoseTableError(f"the first line has the unknown column '{unknown[0]}'; known are {', '.join(_KNOWN)}")
     needed = ["time"] if "sec" not in columns else ["sec", "nanosec"]
     needed += _POSITION
     if set(columns) & set(_ORIENTATION):
         needed += _ORIENTATION
     missing = [name for name in needed if name not in columns]
     if missing:
-        raise ScriptError(f"the table has no column '{missing[0]}'; it needs {', '.join(needed)}")
+        raise PoseTableError(f"the table has no column '{missing[0]}'; it needs {', '.join(needed)}")
     repeated = [name for name in columns if columns.count(name) > 1]
     if repeated:
-        raise ScriptError(f"the column '{repeated[0]}' stands twice")
+        raise PoseTableError(f"the column '{repeated[0]}' stands twice")
 
 
 def _read_number(cell: str, name: str, line: int) -> float:
     try:
         return float(cell)
     except ValueError as error:
-        raise ScriptError(f"line {line}: {name} is '{cell}'; it must be a number") from error
+        raise PoseTableError(f"line {line}: {name} is '{cell}'; it must be a number") from error
