@@ -79,7 +79,7 @@ def finish_implicitly(
         factorizes=max_iterations >= DESCENT_ITERATIONS * CONSTANTS.implicit_finish_steps,
     ).run()
     # The controller states no longer describe the motion. The least work limit of a frame is in runs with the longest
-    # stable steps. A frame in a deformed shape must not define them anew, or the limit grows with the stiffness.
+    # stable steps. A frame in a deformed shape must not define them, or the limit grows with the stiffness.
     max_step = StabilityState.load(state).max_step
     reset_step_control(state)
     StabilityState(max_step=max_step).store(state)
