@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts,
 from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model.forces.force import Force
 from cloth_sim_ros.physics.plan.plan import compile
-from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState
+from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.simulation.events import Grasp, Target
 
 #: Allowed growth of an undamped wave per step.
@@ -280,6 +280,26 @@ def test_doubled_jerk_change_is_predicted_if_it_displaces_little() -> None:
     assert predict(1.9e-6, 0.4 * jerk_change) == math.inf
     assert predict(1.9e-6, 0.6 * jerk_change) < math.inf
     assert predict(2.1e-6, 0.0) < math.inf
+
+
+def test_work_of_collapsed_hinges_stays_limited_after_a_fallback() -> None:
+    # A shared edge of crossed springs shrinks in an impact, and its stiffness grows without bound. The frame after the
+    # fallback took its short steps for the longest stable ones: its limit grew with them.
+    size = {"cloth.size": [0.4, 0.4], "cloth.resolution": [15, 15], "cloth.position": [0.0, 0.0, 0.3]}
+    ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.friction": [0.6, 0.5]}
+    material = {"material.fabric": "denim", "bending.model": "crossed", "cloth.shear_layout": "alternating"}
+    values = {**size, **ball, **material, "cloth.anchors": [""], "grippers": [""], "tolerance": 1e-3}
+    simulation = Simulation(Scene.from_parameters({**values, "cloth.orientation": [0.0, 0.0, 0.0, 1.0]}))
+    advances = [simulation.advance([]).advance for _ in range(23)]
+    assert any(advance.integrator == "implicit" for advance in advances)
+    assert max(advance.evaluations for advance in advances) < 40_000
+
+
+def test_fallback_keeps_the_longest_stable_step() -> None:
+    model, state = critical()
+    StabilityState(omega2=1e12, max_step=1e-3).store(state)
+    finish_implicitly(compile(model), state, 0.0, 1 / 60, None, instead_of="leapfrog", max_evaluations=1000)
+    assert StabilityState.load(state) == StabilityState(max_step=1e-3)
 
 
 def test_each_fallback_halves_the_work_cap() -> None:

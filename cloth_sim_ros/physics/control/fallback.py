@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import FallbackState, reset_step_control
+from cloth_sim_ros.physics.state.controller_state import FallbackState, StabilityState, reset_step_control
 from cloth_sim_ros.physics.state.state import State
 
 #: Force evaluations reserved to finish a frame: ten per step, at most half of the limit.
@@ -78,8 +78,11 @@ def finish_implicitly(
         max_evaluations=min(max_evaluations, max_iterations),
         factorizes=max_iterations >= DESCENT_ITERATIONS * CONSTANTS.implicit_finish_steps,
     ).run()
-    # The controller states no longer describe the motion.
+    # The controller states no longer describe the motion. The least work limit of a frame is in runs with the longest
+    # stable steps. A frame in a deformed shape must not define them, or the limit grows with the stiffness.
+    max_step = StabilityState.load(state).max_step
     reset_step_control(state)
+    StabilityState(max_step=max_step).store(state)
     FallbackState(min(64.0, fallback_count + 1.0)).store(state)
     explanation = f"{instead_of}: finer steps exceed the frame's work limit"
     reason = f"{explanation}: implicit, order 2, step {result.step:.3g} s for this frame"
