@@ -113,10 +113,10 @@ def _notes(fit: MotionFit) -> Iterator[str]:
             f"Intervals treat each of {len(fit.covariance.without)} motions as one independent observation "
             f"(jackknife, Student's t with {min(freedoms):.1f} to {max(freedoms):.1f} degrees of freedom)."
         )
-        few = [estimate.parameter.name for estimate in fit.estimates if estimate.has_few_motions]
-        if few:
+        uncertain = [estimate.parameter.name for estimate in fit.estimates if estimate.has_few_motions]
+        if uncertain:
             yield (
-                f"Too few motions inform about {', '.join(few)}: an identified parameter needs {MIN_FREEDOM:g} degrees "
+                f"Too few motions inform about {', '.join(uncertain)}: an identified parameter needs {MIN_FREEDOM:g} degrees "
                 "of freedom. Record more motions, or fit fewer parameters."
             )
     elif fit.covariance.has_intervals:
