@@ -116,8 +116,8 @@ def _notes(fit: MotionFit) -> Iterator[str]:
         uncertain = [estimate.parameter.name for estimate in fit.estimates if estimate.has_few_motions]
         if uncertain:
             yield (
-                f"Too few motions inform about {', '.join(uncertain)}: an identified parameter needs {MIN_FREEDOM:g} degrees "
-                "of freedom. Record more motions, or fit fewer parameters."
+                f"Too few motions inform about {', '.join(uncertain)}: an identified parameter needs {MIN_FREEDOM:g} "
+                "degrees of freedom. Record more motions, or fit fewer parameters."
             )
     elif fit.covariance.has_intervals:
         yield (
