@@ -27,8 +27,8 @@ class Covariance:
     deviations: Array
     #: Standard deviations of the alignment's unknowns, shape (unknowns,).
     alignment_deviations: Array
-    #: Degrees of freedom of Student's distribution; None for a normal one.
-    freedom: int | None
+    #: Degrees of freedom of Student's distribution of each logarithm, shape (p,); None for a normal one.
+    freedoms: Array | None
     #: True if intervals may be stated: by motions, or of the noise of a single motion.
     has_intervals: bool
     #: Change of all unknowns if a motion is left out, for each motion, shape (motions, unknowns); None without it.
@@ -59,10 +59,33 @@ def jackknife_covariance(problem: JointProblem, solution: JointSolution, selecte
         matrix=matrix[:p, :p],
         deviations=_unidentified(deviations, total),
         alignment_deviations=np.sqrt(variances[p:]),
-        freedom=count - 1,
+        freedoms=effective_freedoms(information, total, p),
         has_intervals=True,
         without=changes,
     )
+
+
+def effective_freedoms(information: Array, total: Array, n_parameters: int) -> Array:
+    """Return the degrees of freedom of the jackknife variances of the first parameters, by Satterthwaite's moments.
+
+    They are one less than the motions if all motions inform alike, and fewer if some dominate.
+
+    Args:
+        information: information of each motion, shape (motions, n, n).
+        total: information of all motions and of the prior, shape (n, n).
+        n_parameters: number of parameters.
+    """
+    count = len(information)
+    slopes = np.array([np.linalg.inv(total - part)[:n_parameters] for part in information])
+    scores = np.einsum("gpi,gij->gpj", slopes, information)
+    covariances = -np.einsum("gpi,ij,hpj->pgh", scores, np.linalg.inv(total), scores)
+    places = np.arange(count)
+    covariances[:, places, places] += np.einsum("gpi,gpi->pg", scores, slopes)
+    centring = np.eye(count) - 1.0 / count
+    quadratic = centring @ covariances @ centring
+    squares = np.einsum("pgh,phg->p", quadratic, quadratic)
+    freedoms = np.trace(quadratic, axis1=1, axis2=2) ** 2 / np.maximum(squares, np.finfo(float).tiny)
+    return np.asarray(np.clip(freedoms, 1.0, count - 1.0))
 
 
 def noise_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
@@ -77,7 +100,7 @@ def noise_covariance(problem: JointProblem, solution: JointSolution, selected: S
         matrix=matrix[:p, :p],
         deviations=_unidentified(deviations[:p], total),
         alignment_deviations=deviations[p:],
-        freedom=None,
+        freedoms=None,
         has_intervals=len(selected) == 1,
     )
 

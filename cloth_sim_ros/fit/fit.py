@@ -26,6 +26,10 @@ NORMAL_95 = 1.959963984540054
 MIN_CORRELATION = 0.1
 
 
+#: Least number of degrees of freedom of an identified parameter.
+MIN_FREEDOM = 4.0
+
+
 @attrs.frozen(kw_only=True)
 class Estimate:
     """Estimate of one parameter."""
@@ -43,9 +47,23 @@ class Estimate:
     #: True if the model explains the recording, as the bound assumes; see `Fit.doubt`.
     is_explained: bool = True
     #: Degrees of freedom of Student's distribution of the interval; None for the normal distribution.
-    freedom: int | None = None
+    freedom: float | None = None
     #: False if too few motions allow no interval.
     has_interval: bool = True
+
+    @property
+    def has_few_motions(self) -> bool:
+        """True if too few motions inform about the parameter to call it identified."""
+        return self.has_interval and self.freedom is not None and self.freedom < MIN_FREEDOM
+
+    def is_within(self, within: float) -> bool:
+        """Return True if the 95 % interval is at most as wide as the normal one of a relative deviation `within`."""
+        quantile = NORMAL_95
+        if self.freedom is not None:
+            from scipy.stats import t
+
+            quantile = float(t.ppf(0.975, self.freedom))
+        return quantile * self.bound <= NORMAL_95 * within
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -416,8 +416,8 @@ def _build(
     covariance = (jackknife_covariance if has_intervals else noise_covariance)(problem, solution, inside)
     doubt = _doubt(solution, inside)
     estimates = [
-        _estimate(parameter, float(theta), float(bound), covariance, within, doubt)
-        for parameter, theta, bound in zip(problem.parameters, point.theta, covariance.deviations, strict=True)
+        _estimate(parameter, float(theta), covariance, k, within, doubt)
+        for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))
     ]
     motions = _score_motions(problem, solution, covariance, inside, outside)
     entries_without = [entry for entry in motions if entry.is_held_out]
@@ -466,20 +466,22 @@ def _used_clouds(problem: JointProblem, index: int) -> list[NDArray[np.float64]]
 
 
 def _estimate(
-    parameter: FitParameter, theta: float, bound: float, covariance: Covariance, within: float, doubt: str
+    parameter: FitParameter, theta: float, covariance: Covariance, index: int, within: float, doubt: str
 ) -> Estimate:
     value = math.exp(theta)
     is_at_limit = min(abs(value / parameter.minimum - 1.0), abs(value / parameter.maximum - 1.0)) < 1e-6
-    return Estimate(
+    estimate = Estimate(
         parameter=parameter,
         value=value,
-        bound=bound,
-        is_identified=bound <= within and not is_at_limit and not doubt and covariance.has_intervals,
+        bound=float(covariance.deviations[index]),
+        is_identified=False,
         is_at_limit=is_at_limit,
         is_explained=not doubt,
-        freedom=covariance.freedom,
+        freedom=None if covariance.freedoms is None else float(covariance.freedoms[index]),
         has_interval=covariance.has_intervals,
     )
+    is_known = covariance.has_intervals and estimate.is_within(within) and not estimate.has_few_motions
+    return attrs.evolve(estimate, is_identified=is_known and not is_at_limit and not doubt)
 
 
 def _doubt(solution: JointSolution, inside: Sequence[int]) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 from cloth_sim_ros.fit.alignment import FIXED, PER_RECORDING
 from cloth_sim_ros.fit.clusters import MIN_MOTIONS
+from cloth_sim_ros.fit.fit import MIN_FREEDOM
 from cloth_sim_ros.fit.grasped import describe_grasped
 from cloth_sim_ros.fit.hypotheses import GraspChoice
 from cloth_sim_ros.fit.motions import MotionFit
@@ -107,10 +108,17 @@ def _alignment_lines(fit: MotionFit) -> Iterator[str]:
 def _notes(fit: MotionFit) -> Iterator[str]:
     yield from _score_table(fit)
     if fit.covariance.without is not None:
+        freedoms = [estimate.freedom or 0.0 for estimate in fit.estimates]
         yield (
             f"Intervals treat each of {len(fit.covariance.without)} motions as one independent observation "
-            f"(jackknife, Student's t with {fit.covariance.freedom} degrees of freedom)."
+            f"(jackknife, Student's t with {min(freedoms):.1f} to {max(freedoms):.1f} degrees of freedom)."
         )
+        uncertain = [estimate.parameter.name for estimate in fit.estimates if estimate.has_few_motions]
+        if uncertain:
+            yield (
+                f"Too few motions inform about {', '.join(uncertain)}: an identified parameter needs {MIN_FREEDOM:g} "
+                "degrees of freedom. Record more motions, or fit fewer parameters."
+            )
     elif fit.covariance.has_intervals:
         yield (
             "Intervals are of the noise of one motion alone: they hold only if the model is right and the clouds' "

@@ -18,7 +18,10 @@ from cloth_sim_ros.scene.scene import Scene
 #: Full names by short name; `bending` depends on the scene's bending model.
 _SHORT = {
     "stretch": "material.stretch_modulus",
+    "stretch_weft": "material.stretch_modulus_weft",
     "shear": "material.shear_modulus",
+    "bending_weft": "material.bending_modulus_weft",
+    "poisson": "material.poisson_ratio",
     "damping": "material.damping",
     "viscosity": "material.viscosity",
     "density": "material.density",

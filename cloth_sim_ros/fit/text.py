@@ -73,6 +73,10 @@ def verdict(estimate: Estimate, within: float) -> str:
         return "NOT IDENTIFIED: the simulated cloth does not follow the recording"
     if not estimate.has_interval:
         return "NOT IDENTIFIED: too few motions for an interval"
+    if estimate.has_few_motions and estimate.bound <= within:
+        return f"NOT IDENTIFIED: too few motions ({estimate.freedom:.1f} degrees of freedom)"
+    if not estimate.is_identified and estimate.bound <= within:
+        return f"NOT IDENTIFIED: 95 % interval too wide, by {estimate.freedom:.1f} degrees of freedom"
     return "identified" if estimate.is_identified else f"NOT IDENTIFIED: bound above {100 * within:.3g} %"
 
 

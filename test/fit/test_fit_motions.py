@@ -45,7 +45,9 @@ def test_late_turned_clouds_give_right_drag(fitted: MotionFit) -> None:
     # The true cloth hangs nearly at rest at the start, the fitted one at rest: a hundredth of the drag.
     assert abs(np.log(estimate.value / TRUTH["wind.normal_drag"])) < 4.0 * estimate.bound + 0.01
     assert estimate.bound < 0.1
-    assert estimate.freedom == 4
+    assert estimate.freedom is not None
+    assert 1.0 <= estimate.freedom <= 4.0
+    assert not estimate.is_identified
     assert fitted.alignments[0].offset == pytest.approx(CAMERA.offset, abs=0.005)
     assert fitted.alignments[0].angle == pytest.approx(CAMERA.angle, abs=0.01)
 
@@ -72,7 +74,7 @@ def test_report_states_alignment_and_intervals(fitted: MotionFit, tmp_path: Path
     assert "Intervals treat each of 5 motions as one independent observation" in text
     write_json(fitted, tmp_path / "fit.json")
     written = json.loads((tmp_path / "fit.json").read_text())
-    assert written["parameters"][0]["freedom"] == 4
+    assert written["parameters"][0]["freedom"] == fitted.estimates[0].freedom
     assert written["left_out"]["wrong_scale"] == 1
 
 

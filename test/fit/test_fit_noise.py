@@ -24,9 +24,12 @@ from cloth_sim_ros.fit.alignment import (
     rotation_vector,
     search_alignment,
 )
-from cloth_sim_ros.fit.clusters import jackknife_covariance
+from cloth_sim_ros.fit.clusters import effective_freedoms, jackknife_covariance
+from cloth_sim_ros.fit.fit import Estimate
 from cloth_sim_ros.fit.noise import CAUCHY, HUBER, SQUARE, NoiseModel, initial_noise, smooth_modes
+from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.recording import FitRecording
+from cloth_sim_ros.fit.text import verdict
 from cloth_sim_ros.fit.trajectory import SimulatedMotion
 
 
@@ -96,7 +99,30 @@ def test_jackknife_agrees_with_refits() -> None:
     refits = whole + covariance.without
     expected = 6.0 / 7.0 * np.square(refits - refits.mean(axis=0)).sum(axis=0)
     assert np.square(covariance.deviations) == pytest.approx(expected)
-    assert covariance.freedom == 6
+    assert covariance.freedoms is not None
+    assert np.all((covariance.freedoms > 3.0) & (covariance.freedoms < 6.0))
+
+
+def test_equal_motions_have_one_freedom_less_than_motions() -> None:
+    part = np.array([[3.0, 1.0], [1.0, 2.0]])
+    freedoms = effective_freedoms(np.array([part] * 9), 9.0 * part, 2)
+    assert freedoms == pytest.approx([8.0, 8.0])
+
+
+def test_dominant_motions_take_freedom() -> None:
+    information = np.array([[[100.0]], [[100.0]], *([[[1.0]]] * 8)])
+    (freedom,) = effective_freedoms(information, information.sum(axis=0), 1)
+    assert freedom < 2.0
+
+
+def test_freedom_decides_what_is_identified() -> None:
+    (parameter,) = choose_parameters(scene_of(), ["normal_drag"])
+    estimate = Estimate(parameter=parameter, value=1.0, bound=0.02, is_identified=False, freedom=3.9)
+    assert estimate.has_few_motions
+    assert verdict(estimate, 0.025) == "NOT IDENTIFIED: too few motions (3.9 degrees of freedom)"
+    assert not attrs.evolve(estimate, freedom=4.0).has_few_motions
+    assert not attrs.evolve(estimate, freedom=4.0).is_within(0.025)
+    assert attrs.evolve(estimate, freedom=20.0).is_within(0.025)
 
 
 def moving_cloth(camera: Alignment) -> tuple[FitRecording, SimulatedMotion]:

@@ -150,7 +150,7 @@ class LinearFit:
         """Return the half width of the intervals of the logarithms, shape (p,)."""
         from scipy.stats import t
 
-        return np.asarray(float(t.ppf(0.5 + 0.5 * level, self.covariance.freedom)) * self.covariance.deviations)
+        return np.asarray(t.ppf(0.5 + 0.5 * level, self.covariance.freedoms) * self.covariance.deviations)
 
 
 def best_deviations(
