@@ -189,6 +189,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
     "cloth_eigenvalues": ("i", (_argument_size(6, 1), "i", _argument_size(1, 1))),
     "cloth_derivative_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),
+    "cloth_mass_blocks": ("i", ("h", _X, _B)),
     "cloth_pair_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 6 * plan["lists"][a[1]])),
     "cloth_membrane_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 27 * plan["lists"][a[1]])),
     "cloth_paths": (

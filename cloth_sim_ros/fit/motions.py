@@ -23,7 +23,7 @@ from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.recording import FitRecording, check_recording, visible
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floor, rigid_distances, score
-from cloth_sim_ros.fit.screening import screen_clouds
+from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -49,25 +49,6 @@ _STALE_SIGMAS, _STALE_STEP = 3.0, 0.1
 OUTLIER_RATIO = 6.0
 #: Root mean square of a motion's residuals above which the report names it [median of all motions].
 SUSPICIOUS_RATIO = 2.5
-
-
-@attrs.frozen(kw_only=True)
-class LeftOut:
-    """Numbers of clouds that were not used, by reason."""
-
-    #: Clouds without a point.
-    empty: int = 0
-    #: Clouds whose size is not the cloth's.
-    wrong_scale: int = 0
-    #: Clouds far from the simulated cloth.
-    other_object: int = 0
-    #: Clouds after the motion became unpredictable.
-    unpredictable: int = 0
-
-    @property
-    def total(self) -> int:
-        """Number of all of them."""
-        return self.empty + self.wrong_scale + self.other_object + self.unpredictable
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -15,11 +14,27 @@ from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recording import FitRecording, visible
 from cloth_sim_ros.physics.model.forces.force import Array
 
-if TYPE_CHECKING:
-    from cloth_sim_ros.fit.motions import LeftOut
-
 #: Limits of a cloud's size over that of the rest shape. A sheet hardly stretches; a crumpled one is smaller.
 MAX_SCALE, MIN_SCALE = 1.5, 0.1
+
+
+@attrs.frozen(kw_only=True)
+class LeftOut:
+    """Numbers of clouds that were not used, by reason."""
+
+    #: Clouds without a point.
+    empty: int = 0
+    #: Clouds whose size is not the cloth's.
+    wrong_scale: int = 0
+    #: Clouds far from the simulated cloth.
+    other_object: int = 0
+    #: Clouds after the motion became unpredictable.
+    unpredictable: int = 0
+
+    @property
+    def total(self) -> int:
+        """Number of all of them."""
+        return self.empty + self.wrong_scale + self.other_object + self.unpredictable
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -33,8 +48,6 @@ class Screened:
 
     def left_out(self) -> LeftOut:
         """Return the numbers of other clouds."""
-        from cloth_sim_ros.fit.motions import LeftOut
-
         return LeftOut(empty=self.n_empty, wrong_scale=self.n_wrong_scale)
 
 

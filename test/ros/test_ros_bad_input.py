@@ -108,7 +108,7 @@ def test_gripper_plays_one_script_for_each_gripper(start_process: Callable[..., 
     twice, renamed = start_process(command), start_process([*command, "--gripper", "left"])
     assert (twice.wait(), renamed.wait()) == (1, 1)
     assert "2 scripts are for the gripper 'gripper'; a gripper plays one" in twice.output
-    assert "--gripper names one gripper, for one script" in renamed.output
+    assert "--gripper is for one file; 2 files name their own grippers" in renamed.output
 
 
 def test_gripper_waits_for_the_node_and_not_for_its_middleware(
