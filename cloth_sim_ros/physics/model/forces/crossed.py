@@ -21,7 +21,7 @@ class CrossedSprings(HingeSprings):
     normal. Parallel lines, as in a symmetric pair folded by exactly 180°, have no common normal: there the force would
     grow without limit. Therefore h = 6V/M with M² = (a × b)² + (0.1 a²)². It is bounded for every angle, and within
     some 6° of 180° the spring lets go. Where the shared edge shrinks to nothing h stays bounded, but the force grows as
-    1/|a| and its stiffness as 1/a².
+    the inverse of its length, and the stiffness as the square of that.
 
     Args:
         edges: the shared edges, shape (m, 2).
