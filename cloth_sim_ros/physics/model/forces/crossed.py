@@ -20,8 +20,8 @@ class CrossedSprings(HingeSprings):
     The distance is 6V divided by the norm of a × b. It is positive if the wings rise to the side of the surface's
     normal. Parallel lines, as in a symmetric pair folded by exactly 180°, have no common normal: there the force would
     grow without limit. Therefore h = 6V/M with M² = (a × b)² + (0.1 a²)². It is bounded for every angle, and within
-    some 6° of 180° the spring lets go. Where the shared edge shrinks to nothing h stays bounded, but the force grows as
-    the inverse of its length, and the stiffness as the square of that.
+    some 6° of 180° the spring lets go. Where the shared edge shrinks to nothing, h stays bounded. The force
+    then grows as the inverse of its length, and the stiffness as the inverse square.
 
     Args:
         edges: the shared edges, shape (m, 2).
