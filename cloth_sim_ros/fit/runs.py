@@ -7,26 +7,23 @@ The residuals of a run depend only on parameters, window and tolerance. They do 
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
-from cloth_sim_ros.fit.parameters import FitError, FitParameter, scene_with
+from cloth_sim_ros.fit.parameters import FitParameter, scene_with
 from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.run_pool import RunPool
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.session.child_process import overrides, safe_imports
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
-    from loky import ProcessPoolExecutor
+    pass
 
 #: Air drag of settling frames [1/s]: the slowest oscillation of a sheet of 0.5 m is close to critically damped.
 SETTLING_DRAG = 6.0
@@ -113,59 +110,32 @@ def mean_offset(r: Array) -> Array:
     return np.asarray(r.reshape(-1, 3).mean(axis=0)) if r.size else np.zeros(3)
 
 
-class FitRunPool:
+class FitRunPool(RunPool):
     """Process pool that simulates one recording with many parameter values.
 
     Args:
         recording: commands and clouds.
         parameters: the parameters, in the order of each run's values.
-        workers: number of processes; 1 uses this process, None starts one per core.
+        workers: as for `RunPool`.
     """
 
     def __init__(
         self, recording: FitRecording, parameters: Sequence[FitParameter], *, workers: int | None = None
     ) -> None:
         self.recording, self.parameters = recording, list(parameters)
-        self.workers = workers or len(os.sched_getaffinity(0))
-        #: Number of simulations so far.
-        self.n_runs = 0
-        self._pool: ProcessPoolExecutor | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._pool is not None:
-            # After an error, pending simulations are useless.
-            self._pool.shutdown(wait=kind is None, kill_workers=kind is not None)
+        super().__init__(workers, initializer=_init_worker, arguments=(recording, self.parameters))
 
     def compute_residuals(self, runs: Sequence[FitRun]) -> list[Array | str]:
         """Return the residuals of each run [m], shape (n,), or the text of its error.
 
         Raises:
-            FitError: if a worker process was killed, or loky is not installed.
+            FitError: as `RunPool.map`.
         """
-        self.n_runs += len(runs)
-        if self.workers == 1 or len(runs) == 1:
-            return [_residuals_or_error(self.recording, self.parameters, run) for run in runs]
-        try:
-            from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
-        except ImportError as error:
-            remedy = "pip install 'cloth_sim_ros[batch]', or use --workers 1"
-            raise FitError(f"{self.workers} processes need loky: {remedy}") from error
-
-        try:
-            with safe_imports():
-                if self._pool is None:
-                    # The standard library's processes would run the user's program again at their start.
-                    settings = {"initializer": _init_worker, "initargs": (self.recording, self.parameters)}
-                    self._pool = ProcessPoolExecutor(self.workers, **settings, env=overrides())
-                results = self._pool.map(_residuals_in_worker, runs)
-            return list(results)
-        except BrokenProcessPool as error:
-            raise FitError("a worker process was killed, possibly out of memory; use --workers 1") from error
+        return self.map(
+            _residuals_in_worker,
+            runs,
+            local_function=lambda run: _residuals_or_error(self.recording, self.parameters, run),
+        )
 
 
 def settling_drag_events(scene: Scene, frame: int, n_settle_frames: int) -> list[SetParameters]:
@@ -195,8 +165,6 @@ _worker_inputs: tuple[FitRecording, Sequence[FitParameter]] | None = None
 def _init_worker(recording: FitRecording, parameters: Sequence[FitParameter]) -> None:
     global _worker_inputs
     _worker_inputs = recording, parameters
-    # Ctrl-C reaches all processes. The parent process stops its workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _residuals_in_worker(run: FitRun) -> Array | str:

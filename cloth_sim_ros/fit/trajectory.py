@@ -4,28 +4,25 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.fit.parameters import FitError, FitParameter, scene_with
+from cloth_sim_ros.fit.parameters import FitParameter, scene_with
 from cloth_sim_ros.fit.recording import FitRecording, prepare_state
+from cloth_sim_ros.fit.run_pool import RunPool
 from cloth_sim_ros.fit.runs import MAX_WORK, interpolate, settling_drag_events
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.session.child_process import overrides, safe_imports
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
-    from loky import ProcessPoolExecutor
+    pass
 
 #: Tolerance of settling frames [m].
 SETTLING_TOLERANCE = 1e-3
@@ -176,52 +173,16 @@ def _needed_frames(recording: FitRecording, offsets: tuple[float, float]) -> NDA
     return np.flatnonzero(needed)
 
 
-class TrajectoryPool:
-    """Process pool that simulates recordings; the results do not depend on the number of processes.
-
-    Args:
-        workers: number of processes; 1 uses this process, None starts one per core.
-    """
-
-    def __init__(self, workers: int | None = None) -> None:
-        self.workers = workers or len(os.sched_getaffinity(0))
-        #: Number of simulations so far.
-        self.n_runs = 0
-        self._pool: ProcessPoolExecutor | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._pool is not None:
-            # After an error, pending simulations are useless.
-            self._pool.shutdown(wait=kind is None, kill_workers=kind is not None)
+class TrajectoryPool(RunPool):
+    """Process pool that simulates recordings."""
 
     def simulate(self, runs: Sequence[TrajectoryRun]) -> list[SimulatedMotion | str]:
         """Return the trajectory of each run, or the text of its error.
 
         Raises:
-            FitError: if a worker process was killed, or loky is not installed.
+            FitError: as `RunPool.map`.
         """
-        self.n_runs += len(runs)
-        if self.workers == 1 or len(runs) == 1:
-            return [_trajectory_or_error(run) for run in runs]
-        try:
-            from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
-        except ImportError as error:
-            remedy = "pip install 'cloth_sim_ros[batch]', or use --workers 1"
-            raise FitError(f"{self.workers} processes need loky: {remedy}") from error
-
-        try:
-            with safe_imports():
-                if self._pool is None:
-                    # The standard library's processes would run the user's program again at their start.
-                    self._pool = ProcessPoolExecutor(self.workers, initializer=_ignore_interrupt, env=overrides())
-                return list(self._pool.map(_trajectory_or_error, runs))
-        except BrokenProcessPool as error:
-            raise FitError("a worker process was killed, possibly out of memory; use --workers 1") from error
+        return self.map(_trajectory_or_error, runs)
 
 
 def _trajectory_or_error(run: TrajectoryRun) -> SimulatedMotion | str:
@@ -229,8 +190,3 @@ def _trajectory_or_error(run: TrajectoryRun) -> SimulatedMotion | str:
         return simulate_trajectory(run)
     except (ValueError, UnstableError) as error:
         return str(error)
-
-
-def _ignore_interrupt() -> None:
-    # Ctrl-C reaches all processes. The parent process stops its workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
