@@ -92,7 +92,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
             "i",
             lambda a, _: a[2] * _LISTS[a[1]][1],
             lambda a, _: a[2] * _LISTS[a[1]][2],
-            lambda a, _: 8 if _LISTS[a[1]] is binding.KINDS["membrane"] else 5,
+            lambda a, _: {binding.KINDS["membrane"]: 8, binding.KINDS["stiffening_membrane"]: 14}.get(_LISTS[a[1]], 5),
         ),
     ),
     "cloth_plan_uniform": ("i", ("h", _fixed(3), _fixed(3), "d")),

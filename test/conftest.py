@@ -20,6 +20,17 @@ from pathlib import Path
 
 import pytest
 
+# Threads of numpy's and scipy's linear algebra wait in busy loops for each other beside other tests; matrices here are
+# small. The libraries read their number when they load. Processes of the tests have their own number.
+_N_BLAS_THREADS = os.environ.get("OPENBLAS_NUM_THREADS")
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+import numpy  # noqa: E402, F401
+import scipy.linalg  # noqa: E402, F401
+
+del os.environ["OPENBLAS_NUM_THREADS"]
+if _N_BLAS_THREADS is not None:
+    os.environ["OPENBLAS_NUM_THREADS"] = _N_BLAS_THREADS
+
 ROOT = Path(__file__).resolve().parent.parent
 
 #: Files whose tests take longest, most of them with few tests. Run first, they leave no process alone at the end.

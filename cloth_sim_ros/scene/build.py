@@ -514,6 +514,10 @@ def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[Threads, tuple
     return threads, (2.0 * warp, 2.0 * weft)
 
 
+#: Parameters of `material` that make the moduli of triangles grow.
+STIFFENING = ("warp_stiffening", "weft_stiffening", "shear_stiffening")
+
+
 def fabric_moduli(scene: PhysicsScene) -> FabricModuli:
     """Return the moduli of the triangles of a scene.
 
@@ -525,7 +529,13 @@ def fabric_moduli(scene: PhysicsScene) -> FabricModuli:
     warp, weft = stretch_moduli(scene)
     material = scene.material
     try:
-        return FabricModuli(warp=warp, weft=weft, shear=material.shear_modulus, poisson_ratio=material.poisson_ratio)
+        return FabricModuli(
+            warp=warp,
+            weft=weft,
+            shear=material.shear_modulus,
+            poisson_ratio=material.poisson_ratio,
+            **{name: tuple(getattr(material, name)) for name in STIFFENING},
+        )
     except ValueError as error:
         raise ParameterError(f"material.{error}") from error
 

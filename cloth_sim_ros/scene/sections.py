@@ -155,6 +155,34 @@ class MaterialParameters:
     shear_modulus: float = parameter(
         "double", 100.0, "Shear modulus of the sheet", unit="N/m", min=0.0, max=1e9, live=True
     )
+    warp_stiffening: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 1.0),
+        "Strain of a pull along the warp at which its modulus stops growing, and factor by which it then has grown. "
+        "The modulus grows with the square of the strain, for membrane.model triangles; [0.0, 1.0]: constant",
+        length=2,
+        min=0.0,
+        max=1e6,
+        live=True,
+    )
+    weft_stiffening: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 1.0),
+        "The same as warp_stiffening in a pull along the weft",
+        length=2,
+        min=0.0,
+        max=1e6,
+        live=True,
+    )
+    shear_stiffening: tuple[float, ...] = parameter(
+        "double[]",
+        (0.0, 1.0),
+        "The same as warp_stiffening in shear; its strain is the cosine of the angle between the threads",
+        length=2,
+        min=0.0,
+        max=1e6,
+        live=True,
+    )
     bending_modulus: float = parameter(
         "double",
         0.0,

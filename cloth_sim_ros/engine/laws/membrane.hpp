@@ -1,8 +1,11 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Membrane triangle: constant strain, orthotropic St. Venant-Kirchhoff law in the frame of the threads.
+// Membrane triangle: constant strain, orthotropic St. Venant-Kirchhoff law in the frame of the threads, with or without
+// moduli that grow with strain.
 #pragma once
+
+#include <array>
 
 #include "laws/bound.hpp"
 
@@ -11,26 +14,38 @@ namespace cloth::laws {
 /// Triangle of woven cloth. Threads at rest of unit length become a = p1 d1 + p2 d2 (warp) and b = q1 d1 + q2 d2
 /// (weft). Green's strains are e1 = (a.a - 1)/2, e2 = (b.b - 1)/2 and the shear g = a.b. Energy A (C11 e1^2/2 +
 /// C12 e1 e2 + C22 e2^2/2 + G g^2/2), damping stress D of the strain rates. docs/derivations/membrane.md derives it.
-struct Membrane {
+///
+/// A stiffening membrane adds, for each strain e, the stress A r x^2 (e - 2 x / 3). x is e between 0 (its negative limit
+/// for shear) and its limit. The modulus thus grows by r x^2, and stays constant beyond the limit.
+template <bool stiffening>
+struct MembraneLaw {
     static constexpr int corners = 3, params = 6, squares = 3;
     static constexpr bool absolute_velocities = false;
     /// Numbers that all triangles of a list have in common.
-    static constexpr int common = 8;
+    static constexpr int common = stiffening ? 14 : 8;
     template <class V>
     struct Moduli {
         V warp, coupling, weft, shear;
     };
-    /// p, q [1/m], area A [m^2], its product with the size of the triangle [m^3], moduli C11, C12, C22, G [N/m], and
-    /// viscosities D11, D12, D22, D33 per size [N s/m^2].
+    /// Strain at which a modulus stops growing, and r [N/m].
+    template <class V>
+    struct Growth {
+        V limit, rate;
+    };
+    /// p, q [1/m], area A [m^2], its product with the size of the triangle [m^3], moduli C11, C12, C22, G [N/m],
+    /// viscosities D11, D12, D22, D33 per size [N s/m^2], and growth of C11, C22 and G.
     template <class V>
     struct Params {
         V p1, p2, q1, q2, area, damping;
         Moduli<V> elastic, viscous;
+        std::array<Growth<V>, stiffening ? 3 : 0> growth{};
     };
     template <class V>
     static CLOTH_INLINE Params<V> make_params(const V* n, const double* c) {
         const auto at = [c](int k) { return splat<V>(scalar<V>(c[k])); };
-        return {n[0], n[1], n[2], n[3], n[4], n[5], {at(0), at(1), at(2), at(3)}, {at(4), at(5), at(6), at(7)}};
+        Params<V> p{n[0], n[1], n[2], n[3], n[4], n[5], {at(0), at(1), at(2), at(3)}, {at(4), at(5), at(6), at(7)}};
+        for (int k = 0; k < int(p.growth.size()); ++k) p.growth[k] = {at(8 + 2 * k), at(9 + 2 * k)};
+        return p;
     }
     template <class V>
     struct Stress {
@@ -57,7 +72,12 @@ struct Membrane {
     }
     template <class V>
     static CLOTH_INLINE Stress<V> elastic_stress(const Params<V>& p, Vec3<V> a, Vec3<V> b) {
-        return stress(p.elastic, p.area, strain(a), strain(b), dot(a, b));
+        const V along = strain(a), across = strain(b), shear = dot(a, b);
+        Stress<V> t = stress(p.elastic, p.area, along, across, shear);
+        if constexpr (stiffening)
+            t = {fma(p.area, added_stress(p, 0, along), t.warp), fma(p.area, added_stress(p, 1, across), t.weft),
+                 fma(p.area, added_stress(p, 2, shear), t.shear)};
+        return t;
     }
     /// Rates of the strains.
     template <class V>
@@ -81,8 +101,14 @@ struct Membrane {
     template <class V>
     static CLOTH_INLINE V energy(const Params<V>& p, const Vec3<V>* d) {
         const Vec3<V> a = warp(p, d), b = weft(p, d);
-        const Stress<V> t = elastic_stress(p, a, b);
-        return splat<V>(0.5) * fma(t.warp, strain(a), fma(t.weft, strain(b), t.shear * dot(a, b)));
+        const V along = strain(a), across = strain(b), shear = dot(a, b);
+        const Stress<V> t = stress(p.elastic, p.area, along, across, shear);
+        const V linear = splat<V>(0.5) * fma(t.warp, along, fma(t.weft, across, t.shear * shear));
+        if constexpr (stiffening)
+            return fma(p.area, added_energy(p, 0, along) + added_energy(p, 1, across) + added_energy(p, 2, shear),
+                       linear);
+        else
+            return linear;
     }
     template <class V>
     static CLOTH_INLINE V dissipation(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
@@ -107,7 +133,10 @@ struct Membrane {
             bound[i].norm = root(norm2(g[i]));
             total = total + bound[i].norm;
         }
-        const V stiffness = p.area * decoupled(p.elastic, k), damping = p.damping * decoupled(p.viscous, k);
+        V modulus = decoupled(p.elastic, k);
+        if constexpr (stiffening)
+            modulus = modulus + added_modulus(p, k, k == 0 ? strain(a) : k == 1 ? strain(b) : dot(a, b));
+        const V stiffness = p.area * modulus, damping = p.damping * decoupled(p.viscous, k);
         for (int i = 0; i < 3; ++i) {
             const auto has_norm = bound[i].norm > V{};
             const V share = select(has_norm, total / select(has_norm, bound[i].norm, splat<V>(1)), V{});
@@ -149,10 +178,16 @@ struct Membrane {
         const Vec3<double> a = warp(p, d), b = weft(p, d);
         const double along[3] = {-(p.p1 + p.p2), p.p1, p.p2}, across[3] = {-(p.q1 + p.q2), p.q1, p.q2};
         const double by = stiffness * p.area, rate = damping * p.damping;
-        const double c11 = fma(rate, p.viscous.warp, by * p.elastic.warp),
-                     c12 = fma(rate, p.viscous.coupling, by * p.elastic.coupling),
-                     c22 = fma(rate, p.viscous.weft, by * p.elastic.weft),
-                     c33 = fma(rate, p.viscous.shear, by * p.elastic.shear);
+        Moduli<double> moduli = p.elastic;
+        if constexpr (stiffening) {
+            moduli.warp += added_modulus(p, 0, strain(a));
+            moduli.weft += added_modulus(p, 1, strain(b));
+            moduli.shear += added_modulus(p, 2, dot(a, b));
+        }
+        const double c11 = fma(rate, p.viscous.warp, by * moduli.warp),
+                     c12 = fma(rate, p.viscous.coupling, by * moduli.coupling),
+                     c22 = fma(rate, p.viscous.weft, by * moduli.weft),
+                     c33 = fma(rate, p.viscous.shear, by * moduli.shear);
         const Stress<double> t = tension(elastic_stress(p, a, b));
         const double va[3] = {a.x, a.y, a.z}, vb[3] = {b.x, b.y, b.z};
         int pair = 0;
@@ -173,6 +208,30 @@ struct Membrane {
     }
 
 private:
+    /// A strain (0 warp, 1 weft, 2 shear) between the limits of its growth; compression does not stiffen.
+    template <class V>
+    static CLOTH_INLINE V limited(const Params<V>& p, int k, V strain) {
+        const V limit = p.growth[k].limit;
+        return larger(smaller(strain, limit), k == 2 ? -limit : V{});
+    }
+    /// Parts of modulus [N/m], stress [N/m] and energy per area [N/m] of the growth of a modulus. Each is the integral of
+    /// the one before.
+    template <class V>
+    static CLOTH_INLINE V added_modulus(const Params<V>& p, int k, V strain) {
+        const V x = limited(p, k, strain);
+        return p.growth[k].rate * (x * x);
+    }
+    template <class V>
+    static CLOTH_INLINE V added_stress(const Params<V>& p, int k, V strain) {
+        const V x = limited(p, k, strain);
+        return p.growth[k].rate * (x * x) * fma(splat<V>(scalar<V>(-2.0 / 3.0)), x, strain);
+    }
+    template <class V>
+    static CLOTH_INLINE V added_energy(const Params<V>& p, int k, V strain) {
+        const V x = limited(p, k, strain), beyond = strain - x;
+        const V first = fma(splat<V>(0.5), beyond, splat<V>(scalar<V>(1.0 / 3.0)) * x);
+        return p.growth[k].rate * (x * x) * fma(beyond, first, splat<V>(scalar<V>(1.0 / 12.0)) * (x * x));
+    }
     /// Factor of a square without coupling.
     template <class V>
     static CLOTH_INLINE V decoupled(const Moduli<V>& c, int k) {
@@ -196,5 +255,7 @@ private:
         return {scale * (radius + half), scale * (radius - half), scale * t.shear};
     }
 };
+using Membrane = MembraneLaw<false>;
+using StiffeningMembrane = MembraneLaw<true>;
 
 }  // namespace cloth::laws

@@ -22,26 +22,29 @@ enum class Kind : int {
     point_face,
     membrane,
     mass3,
-    mass4
+    mass4,
+    stiffening_membrane
 };
 /// Whether elements are panels of air, which have common parameters alone.
 inline constexpr bool is_panel(Kind kind) { return kind == Kind::panel3 || kind == Kind::panel4; }
 /// Whether elements are panels with added mass.
 inline constexpr bool is_mass(Kind kind) { return kind == Kind::mass3 || kind == Kind::mass4; }
+inline constexpr bool is_membrane(Kind kind) { return kind == Kind::membrane || kind == Kind::stiffening_membrane; }
 /// Number of particles of an element, and of parameters of its own.
 inline constexpr int corners_of(Kind kind) {
-    if (kind == Kind::panel3 || kind == Kind::mass3 || kind == Kind::membrane) return 3;
+    if (kind == Kind::panel3 || kind == Kind::mass3 || is_membrane(kind)) return 3;
     return kind == Kind::spring || kind == Kind::joint ? 2 : 4;
 }
 inline constexpr int params_of(Kind kind) {
     if (is_panel(kind) || is_mass(kind)) return 0;
-    return kind == Kind::joint ? 2 : kind == Kind::membrane ? 6 : 3;
+    return kind == Kind::joint ? 2 : is_membrane(kind) ? 6 : 3;
 }
 /// Number of parameters that all elements of a list have in common.
 inline constexpr int common_of(Kind kind) {
+    if (kind == Kind::stiffening_membrane) return 14;
     return is_panel(kind) || is_mass(kind) ? 5 : kind == Kind::membrane ? 8 : 0;
 }
-inline constexpr int max_params = 6, max_common = 8;
+inline constexpr int max_params = 6, max_common = 14;
 
 /// Neighbouring elements of a list are evaluated this far apart, so that additions to the force on one particle do not
 /// wait for each other.

@@ -14,7 +14,8 @@
 
 namespace cloth::plan {
 
-using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Membrane, laws::PointFace, laws::Spring, mesh::Kind;
+using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Membrane, laws::PointFace, laws::Spring,
+    laws::StiffeningMembrane, mesh::Kind;
 
 Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;
@@ -124,10 +125,17 @@ void pair_blocks(const List& list, const double* x, std::int64_t n, double stiff
 
 void membrane_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
                      double* blocks) {
-    for (std::int64_t e = 0; e < list.count; ++e) {
-        const ElementState<Membrane> s(list, e, x, nullptr, n);
-        Membrane::couplings(s.params, s.d, stiffness, damping, reinterpret_cast<double (*)[9]>(blocks + 27 * e));
-    }
+    const auto evaluate = [&](auto law) {
+        using Law = decltype(law);
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, nullptr, n);
+            Law::couplings(s.params, s.d, stiffness, damping, reinterpret_cast<double (*)[9]>(blocks + 27 * e));
+        }
+    };
+    if (list.kind == Kind::stiffening_membrane)
+        evaluate(StiffeningMembrane{});
+    else
+        evaluate(Membrane{});
 }
 
 void hinge_lengths(const List& list, const double* x, std::int64_t n, double* lengths, double* squares) {

@@ -58,7 +58,7 @@ double turn_in_step(const Plan& plan, const double* x0, const double* x, std::in
 /// compression, and those of their damping, each with its weight.
 void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping, double* blocks);
 /// Couplings of the corners (0, 1), (0, 2) and (1, 2) of each membrane of a list, (3 count, 9); see
-/// `laws::Membrane::couplings`.
+/// `laws::MembraneLaw::couplings`.
 void membrane_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
                      double* blocks);
 /// Signed lengths h [m] of hinges of a list, NaN if undefined, and, unless `squares` is null, |dh/dx|^2 of their four

@@ -67,7 +67,7 @@ class StageMatrix:
             np.maximum.at(largest, ends[:, end_index], size)
         is_coupled = size >= _NEGLIGIBLE_FRACTION * largest[ends].min(axis=1)
         # The matrix of a triangle is positive definite only as a whole.
-        kinds = [np.full(len(pairs), part.kind == "membrane") for pairs, part in zip(self._pairs, parts, strict=True)]
+        kinds = [np.full(len(pairs), part.is_membrane) for pairs, part in zip(self._pairs, parts, strict=True)]
         is_coupled |= np.concatenate([np.empty(0, dtype=np.bool_), *kinds])
         return ends[is_coupled]
 
@@ -184,14 +184,14 @@ def _split_forces(model: Model) -> tuple[list[Force], list[Force]]:
 def _coupled_pairs(part: ElementList) -> NDArray[np.int64]:
     """Return the pairs of particles that the elements of a list couple, in the order of their blocks, shape (k, 2)."""
     particles = part.particles
-    if part.kind == "membrane":
+    if part.is_membrane:
         particles = np.stack([particles[:, [0, 1]], particles[:, [0, 2]], particles[:, [1, 2]]], axis=1).reshape(-1, 2)
     return np.ascontiguousarray(particles)
 
 
 def _rigidities(part: ElementList) -> Array:
     """Return the stiffness of each coupled pair [N/m], that of a triangle by its largest modulus, shape (k,)."""
-    if part.kind != "membrane":
+    if not part.is_membrane:
         return part.coefficients[:, 1 if part.kind == "spring" else 0]
     assert part.shared_coefficients is not None
     p1, p2, q1, q2, area = part.coefficients[:, :5].T

@@ -23,8 +23,12 @@ class ElementList:
     particles: NDArray[np.int64]
     #: Coefficients of each element, shape (m, coefficients of the kind).
     coefficients: Array
-    #: Of panels: c_n and c_t [N s/m^3] and the wind [m/s], shape (5,).
+    #: Of panels: c_n and c_t [N s/m^3] and the wind [m/s], shape (5,). Of membranes: moduli, viscosities, and growth.
     shared_coefficients: Array | None = None
+
+    @property
+    def is_membrane(self) -> bool:
+        return self.kind in ("membrane", "stiffening_membrane")
 
 
 @attrs.frozen(kw_only=True)

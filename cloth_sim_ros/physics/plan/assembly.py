@@ -35,7 +35,7 @@ MASS_KINDS = ("mass_triangle", "mass_quad")
 HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
 ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160)
-ELEMENT_OPERATIONS |= {"membrane": 130, "mass_triangle": 240, "mass_quad": 300}
+ELEMENT_OPERATIONS |= {"membrane": 130, "stiffening_membrane": 160, "mass_triangle": 240, "mass_quad": 300}
 
 
 @attrs.define(eq=False)
@@ -113,7 +113,7 @@ class Assembly:
 
     def pair_counts(self) -> list[int]:
         """Return the number of blocks of each list in an implicit matrix: one a spring or joint, three a membrane."""
-        blocks = {"spring": 1, "joint": 1, "membrane": 3}
+        blocks = {"spring": 1, "joint": 1, "membrane": 3, "stiffening_membrane": 3}
         return [blocks.get(part.kind, 0) * len(part.particles) for part in self.element_lists]
 
     def min_damping_time(self) -> float:
@@ -122,7 +122,7 @@ class Assembly:
         damping_times = [min_damping_time(numbers[:, -2], numbers[:, -1]) for numbers in coefficients]
         families = () if self.grid is None else self.grid.families
         damping_times += [min_damping_time(f.stiffness / f.rest_length, f.damping) for f in families]
-        damping_times += [_membrane_damping_time(part) for part in self.element_lists if part.kind == "membrane"]
+        damping_times += [_membrane_damping_time(part) for part in self.element_lists if part.is_membrane]
         return min(damping_times, default=math.inf)
 
     def step_cost(self) -> float:

@@ -99,7 +99,7 @@ class Plan(PlanQueries, Uncopyable):
         if not (assembly.contact or self._python_forces):
             self.evaluations_per_call = 1e3 * CONSTANTS.engine_call_time / (self.step_cost * model.particle_count)
         self._pair_counts = assembly.pair_counts()
-        self._membrane_lists = [part.kind == "membrane" for part in assembly.element_lists]
+        self._membrane_lists = [part.is_membrane for part in assembly.element_lists]
         self._call_lock = threading.Lock()
         #: Results of a query, allocated once.
         self._query_out = (ctypes.c_double * 2)()

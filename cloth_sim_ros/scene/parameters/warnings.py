@@ -59,6 +59,11 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "Poisson's ratio of springs follows from their network; membrane.model triangles uses it",
     ),
     (
+        ("material.warp_stiffening", "material.weft_stiffening", "material.shear_stiffening"),
+        lambda scene: scene.membrane.model == "springs",
+        "the moduli of springs are constant; membrane.model triangles uses it",
+    ),
+    (
         ("bending.stiffness_weft",),
         lambda scene: scene.bending.model != "axial",
         "only axial bending uses it; crossed and altitude take material.bending_modulus_weft",

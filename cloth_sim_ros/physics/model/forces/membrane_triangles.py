@@ -23,12 +23,16 @@ class MembraneTriangles(EngineForce):
     force has no resultant and no torque. It resists compression most at 1/sqrt(3) of the rest length, then less. A
     collapsed triangle is an unstable equilibrium without a preferred side.
 
+    With `growth`, C11, C22 and G grow with the square of e1, e2 and γ up to a limit, C11 and C22 only in tension.
+
     Args:
         triangles: particles of each triangle, shape (m, 3).
         corners: rest coordinates of the corners along warp and weft [m], shape (m, 3, 2).
         moduli: C11, C12, C22, G [N/m], shape (4,); positive semidefinite.
         viscosities: D11, D12, D22, D33, shape (4,), positive semidefinite, in N s/m², or N s/m with `sized` False.
         sized: whether damping grows with the size of the triangle.
+        growth: strain at which C11, C22 and G stop growing, and their growth there [N/m], shape (3, 2); None for
+            constant moduli.
         share: fraction of its area that a triangle stands for, 0.5 if two layers of triangles cover the sheet.
         grid: rows and columns of particles if the sheet is a grid. The engine then evaluates its hinges and panels by
             rows.
@@ -36,7 +40,7 @@ class MembraneTriangles(EngineForce):
 
     Raises:
         ValueError: for a triangle without area, a particle that a triangle names twice, or numbers that are not finite
-            or not positive semidefinite.
+            or not positive semidefinite, or a modulus that falls.
     """
 
     def __init__(
@@ -47,6 +51,7 @@ class MembraneTriangles(EngineForce):
         moduli: ArrayLike,
         viscosities: ArrayLike = (0.0, 0.0, 0.0, 0.0),
         sized: bool = True,
+        growth: ArrayLike | None = None,
         share: float = 1.0,
         grid: tuple[int, int] | None = None,
         name: str = "membrane",
@@ -67,6 +72,8 @@ class MembraneTriangles(EngineForce):
         self.moduli = _definite(f"moduli of '{name}'", moduli)
         self.viscosities = _definite(f"viscosities of '{name}'", viscosities)
         self.damped = bool(np.any(self.viscosities))
+        #: Strains at which C11, C22 and G stop growing, and their growth [N/m], shape (3, 2); None if constant.
+        self.growth = None if growth is None else _growing(f"growth of '{name}'", growth)
         self.grid = grid
         (x1, y1), (x2, y2) = (points[:, 1] - points[:, 0]).T, (points[:, 2] - points[:, 0]).T
         determinant = x1 * y2 - x2 * y1
@@ -85,9 +92,16 @@ class MembraneTriangles(EngineForce):
         triangles = indices(f"triangles of '{self.name}'", self.triangles, 3, particle_count)
         if not len(triangles):
             return ()
-        shared = np.concatenate([self.moduli, self.viscosities])
+        shared, kind = [self.moduli, self.viscosities], "membrane"
+        if self.growth is not None:
+            limits, increases = self.growth.T
+            rates = np.divide(increases, limits * limits, out=np.zeros(3), where=increases > 0.0)
+            shared, kind = [*shared, np.stack([limits, rates], axis=1).ravel()], "stiffening_membrane"
         elements = ElementList(
-            kind="membrane", particles=triangles, coefficients=self.coefficients, shared_coefficients=shared
+            kind=kind,
+            particles=triangles,
+            coefficients=self.coefficients,
+            shared_coefficients=np.concatenate(shared),
         )
         if self.grid is None:
             return (elements,)
@@ -97,6 +111,21 @@ class MembraneTriangles(EngineForce):
                 f"{particle_count}"
             )
         return SpringGrid(rows=self.grid[0], columns=self.grid[1], families=()), elements
+
+
+def _growing(name: str, growth: ArrayLike) -> Array:
+    """Return limits and increases of three moduli as an array, shape (3, 2).
+
+    Raises:
+        ValueError: unless they are finite, not negative, and an increase has a limit above 0.
+    """
+    array = finite(name, growth, (3, 2), one_for_all=False)
+    if (array < 0.0).any() or ((array[:, 1] > 0.0) & (array[:, 0] == 0.0)).any():
+        raise ValueError(
+            f"{name} is {array.tolist()}; limits and increases must be at least 0, and with an increase the limit "
+            "above 0"
+        )
+    return array
 
 
 def _definite(name: str, numbers: ArrayLike) -> Array:

@@ -7,9 +7,18 @@ of plane stress is symmetric, E1 ν21 = E2 ν12 with ν = ν12.
 
     C11 = E1 / (1 - ν² E2/E1),   C22 = E2 / (1 - ν² E2/E1),   C12 = ν C22.
 
-It is positive definite if ν² < E1/E2. Damping with the dimensionless k_d0 is that of springs of the same sheet. A
-thread of modulus C on cells of size l has the viscosity k_d0 l sqrt(ρ C), ρ the mass per area. The coupling has the
-geometric mean, so that D = S C S with a diagonal S is as definite as C.
+It is positive definite if ν² < E1/E2.
+
+A modulus may grow to R times its value at the strain s of a pull. Its growth there is (r - 1) E, with
+
+    r = (R - 2 e/3) / (1 + 7 e/3),   e = s + s²/2.
+
+For the force over the width at rest is P = λ S(e) with the stretch λ. At that strain S = E e (1 + (r - 1)/3), hence
+dP/dλ = S + λ² r E = R E. For shear e is γ and r is R.
+
+Damping with the dimensionless k_d0 is that of springs of the same sheet. A thread of modulus C on cells of size l has
+the viscosity k_d0 l sqrt(ρ C), ρ the mass per area. The coupling has the geometric mean, so that D = S C S with a
+diagonal S is as definite as C.
 """
 
 from __future__ import annotations
@@ -41,8 +50,21 @@ class FabricModuli:
     shear: float
     #: Contraction along the weft over strain, in a pull along the warp.
     poisson_ratio: float = 0.0
+    #: Strain at which a modulus stops growing, and its factor there. Strain is elongation over length at rest, or in
+    #: shear the cosine of the threads' angle. A factor of 1 is a constant modulus.
+    warp_stiffening: tuple[float, float] = (0.0, 1.0)
+    weft_stiffening: tuple[float, float] = (0.0, 1.0)
+    shear_stiffening: tuple[float, float] = (0.0, 1.0)
 
     def __attrs_post_init__(self) -> None:
+        for name in ("warp_stiffening", "weft_stiffening", "shear_stiffening"):
+            strain, factor = getattr(self, name)
+            least = 1.0 if name == "shear_stiffening" else 1.0 + 3.0 * _green_strain(strain)
+            if not strain >= 0.0 or (factor != 1.0 and not (strain > 0.0 and factor >= least)):
+                raise ValueError(
+                    f"{name} is {[strain, factor]}; the strain must be above 0 and the factor at least {least:.4g}, "
+                    "which the geometry alone gives at that strain; [0.0, 1.0] is a constant modulus"
+                )
         if not self.coupling_square < 1.0:
             limit = math.sqrt(self.warp / self.weft)
             raise ValueError(
@@ -59,6 +81,27 @@ class FabricModuli:
         """Return C11, C12, C22 and G [N/m]."""
         weft = self.weft / (1.0 - self.coupling_square)
         return self.warp / (1.0 - self.coupling_square), self.poisson_ratio * weft, weft, self.shear
+
+    def growth(self) -> Array | None:
+        """Return Green's strains at which C11, C22 and G stop growing, and their growth [N/m], shape (3, 2).
+
+        None if they are constant.
+        """
+        threads = (self.warp, self.warp_stiffening), (self.weft, self.weft_stiffening)
+        if all(factor == 1.0 for _, factor in (self.warp_stiffening, self.weft_stiffening, self.shear_stiffening)):
+            return None
+        rows = []
+        for modulus, (strain, factor) in threads:
+            limit = _green_strain(strain)
+            ratio = 1.0 if factor == 1.0 else (factor - 2.0 * limit / 3.0) / (1.0 + 7.0 * limit / 3.0)
+            rows.append((limit, (ratio - 1.0) * modulus))
+        rows.append((self.shear_stiffening[0], (self.shear_stiffening[1] - 1.0) * self.shear))
+        return np.array(rows)
+
+
+def _green_strain(strain: float) -> float:
+    """Return Green's strain of a thread from its elongation over its length at rest."""
+    return strain + 0.5 * strain * strain
 
 
 def thread_coordinates(positions: ArrayLike, triangles: NDArray[np.int64], warp: ArrayLike) -> Array:
@@ -170,7 +213,14 @@ def membrane(
         viscosities[1] = unit * coupling / math.sqrt(math.sqrt(warp_stiffness * weft_stiffness))
     corners = thread_coordinates(positions, triangles, warp)
     return MembraneTriangles(
-        triangles, corners, moduli=stiffness, viscosities=viscosities, sized=not viscosity, share=share, grid=grid
+        triangles,
+        corners,
+        moduli=stiffness,
+        viscosities=viscosities,
+        sized=not viscosity,
+        growth=moduli.growth(),
+        share=share,
+        grid=grid,
     )
 
 
