@@ -120,8 +120,10 @@ class EnsembleCheck:
         last = next((k for k, step in enumerate(self._steps) if step.stamp == stamp), -1)
         frame: EnsembleFrame | None = None
         self._list_left_out(last)
-        for _ in range(last + 1):
-            step = self._steps.popleft()
+        steps = [self._steps.popleft() for _ in range(last + 1)]
+        # Frames before a start have no effect on it, and a member may have failed there.
+        first = max((k for k, step in enumerate(steps) if step.start is not None), default=0)
+        for step in steps[first:]:
             if step.start is not None:
                 self._start(*step.start)
             if self._ensemble is None:

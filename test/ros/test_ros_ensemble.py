@@ -201,6 +201,7 @@ def test_failed_member_restarts_the_ensemble(
     path = tmp_path / "wide.yaml"
     path.write_text("parameters: [{name: air.drag, deviation: 0.5}]")
     received = Received(client)
+    values |= {"record.enabled": True, "record.folder": str(tmp_path / "sessions")}
     with ClockedCloth(client, {**values, "ensemble.file": str(path), "rate": 20.0}) as cloth:
         received.wait(cloth, 2)
         # In range, and out of range times exp(0.5).
@@ -213,6 +214,31 @@ def test_failed_member_restarts_the_ensemble(
         received.wait(cloth, 2)
     log = capfd.readouterr().err
     assert "the ensemble restarts at the cloth's state: member 0 of the ensemble (air.drag = 0.329744)" in log
+    (session,) = (tmp_path / "sessions").glob("*.mcap")
+    verdict = verify([session])
+    assert verdict.same, verdict.first_reason
+    assert verdict.compared["ensemble cloud"] >= len(received.messages)
+
+
+def test_process_that_died_before_a_start_starts_nothing(client: Client, values: dict[str, Any]) -> None:
+    received = Received(client)
+    with ClockedCloth(client, values) as cloth:
+        received.wait(cloth, 1)
+        put(cloth, Pause(True))
+        ensemble = ensemble_of(cloth)
+        # As after a restart: its members start with the next frame that moves.
+        ensemble._must_start = True  # private: a failed member takes a second
+        ensemble.before_frame()
+        os.kill(_process_of(cloth), signal.SIGKILL)
+        client.spin_until(lambda: "status -9" in ensemble.describe()["ensemble"], description="the end")
+        labels = []
+        put(cloth, Pause(False))
+        for _ in range(3):
+            ensemble.before_frame()
+            frame = cloth.simulation.advance()
+            labels.append(ensemble.labels(frame))
+            ensemble.add(frame, cloth.now)
+    assert labels == [{}, {}, {}]
 
 
 def test_worker_waits_for_a_start_after_a_failure(values: dict[str, Any]) -> None:

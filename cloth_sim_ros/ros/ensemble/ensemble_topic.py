@@ -88,7 +88,8 @@ class EnsembleTopic:
 
     def labels(self, frame: Frame) -> dict[str, Any]:
         """Return the entry of a frame's record: whether the members start with it."""
-        return {"ensemble": "start"} if self._before is not None and _has_effect(frame) else {}
+        starts = self._before is not None and self._is_alive and _has_effect(frame)
+        return {"ensemble": "start"} if starts else {}
 
     def add(self, frame: Frame, stamp: int) -> None:
         """Pass a frame that was due at a ROS time [ns] on."""
