@@ -14,7 +14,7 @@ using mesh::PowerSums;
 /// Add the forces of a row's differences; record the dissipation if Record. `rows`: sums of forces on this row and the
 /// next two. The sum of this row goes to `f`, unless null, and those of the next two are added to and set.
 template <class T, bool Damped, bool Record>
-__attribute__((noinline)) void accumulate_differences(const RowView<T>& row_view, const T* stiffness, T damping_time,
+CLOTH_SCHEDULED void accumulate_differences(const RowView<T>& row_view, const T* stiffness, T damping_time,
                                                       T* const* rows, T* f, PowerSums* powers) {
     using V = vec<T>;
     const RowView<T> at = row_view;
