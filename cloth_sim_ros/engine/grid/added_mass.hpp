@@ -31,7 +31,7 @@ CLOTH_INLINE void store_block(T* to, std::ptrdiff_t pitch, const Sym3<vec<T>>& b
 /// `mass_rows` of this row, which is complete then; the blocks of the next row are set. `panel_share`: see CellTable.
 template <class T>
 CLOTH_SCHEDULED void add_mass_row(const RowView<T>& row_view, const T* panel_share, const double* common,
-                                            T* const* mass_rows) {
+                                  T* const* mass_rows) {
     using V = vec<T>;
     const RowView<T> at = row_view;
     const auto air = law_params<AddedMass<4>, V>(nullptr, common);

@@ -15,7 +15,7 @@ using mesh::PowerSums;
 /// next two. The sum of this row goes to `f`, unless null, and those of the next two are added to and set.
 template <class T, bool Damped, bool Record>
 CLOTH_SCHEDULED void accumulate_differences(const RowView<T>& row_view, const T* stiffness, T damping_time,
-                                                      T* const* rows, T* f, PowerSums* powers) {
+                                            T* const* rows, T* f, PowerSums* powers) {
     using V = vec<T>;
     const RowView<T> at = row_view;
     const std::ptrdiff_t pitch = at.pitch;
@@ -34,25 +34,35 @@ CLOTH_SCHEDULED void accumulate_differences(const RowView<T>& row_view, const T*
         const auto velocity_of = [&](int row, int column) CLOTH_INLINED {
             return three(at.row[row] + damping_velocity * pitch + j + column);
         };
-        const auto x00 = position_of(0, 0), x01 = position_of(0, 1), x10 = position_of(1, 0);
-        // Differences between neighbours: of the row, of the row below, and downwards.
-        Vec3<V> right0 = x01 - x00, right1 = position_of(0, 2) - x01, below = position_of(1, 1) - x10,
-                down0 = x10 - x00, down1 = position_of(2, 0) - x10;
-        V dissipation{};
+        // Differences between neighbours: of the row, of the row below, and downwards; with damping of x + time v.
+        Vec3<V> right0, right1, below, down0, down1;
+        const auto differ = [&](auto&& point) CLOTH_INLINED {
+            const auto x01 = point(0, 1), x10 = point(1, 0), x00 = point(0, 0);
+            right0 = x01 - x00, right1 = point(0, 2) - x01;
+            below = point(1, 1) - x10;
+            down0 = x10 - x00, down1 = point(2, 0) - x10;
+        };
         const V along_k = load(stiffness + j), down_k = load(stiffness + pitch + j),
                 twist_k = load(stiffness + 2 * pitch + j);
-        if constexpr (Damped) {
-            const Vec3<V> v00 = velocity_of(0, 0), v01 = velocity_of(0, 1), v10 = velocity_of(1, 0);
-            const Vec3<V> right_rate0 = v01 - v00, right_rate1 = velocity_of(0, 2) - v01,
-                          below_rate = velocity_of(1, 1) - v10, down_rate0 = v10 - v00,
-                          down_rate1 = velocity_of(2, 0) - v10;
-            if constexpr (Record)
-                dissipation =
-                    time * fma(along_k, norm2(right_rate1 - right_rate0),
-                               fma(down_k, norm2(down_rate1 - down_rate0), twist_k * norm2(below_rate - right_rate0)));
-            right0 = fma(time, right_rate0, right0), right1 = fma(time, right_rate1, right1);
-            below = fma(time, below_rate, below);
-            down0 = fma(time, down_rate0, down0), down1 = fma(time, down_rate1, down1);
+        V dissipation{};
+        if constexpr (Record) {
+            differ(velocity_of);
+            dissipation = time * fma(along_k, norm2(right1 - right0),
+                                     fma(down_k, norm2(down1 - down0), twist_k * norm2(below - right0)));
+        }
+        if constexpr (Damped && sizeof(T) == 4) {
+            // Positions have low parts, so their differences are rounded less.
+            differ(velocity_of);
+            const Vec3<V> rates[5] = {right0, right1, below, down0, down1};
+            differ(position_of);
+            right0 = fma(time, rates[0], right0), right1 = fma(time, rates[1], right1);
+            below = fma(time, rates[2], below);
+            down0 = fma(time, rates[3], down0), down1 = fma(time, rates[4], down1);
+        } else if constexpr (Damped) {
+            differ([&](int row, int column)
+                       CLOTH_INLINED { return fma(time, velocity_of(row, column), position_of(row, column).high); });
+        } else {
+            differ(position_of);
         }
         const Vec3<V> along = along_k * (right1 - right0), down = down_k * (down1 - down0),
                       twisted = twist_k * (below - right0);
