@@ -57,7 +57,11 @@ def check_sheet(scene: PhysicsScene) -> None:
             grid_threads_of(scene, sheet)
     elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none" and not len(sheet.triangles())):
         has_hinges = len(sheet.triangles()) > 0
-        fitting = "none, opposite, crossed, altitude or quadratic" if has_hinges else "none, or give the springs file triangles"
+        fitting = (
+            "none, opposite, crossed, altitude or quadratic"
+            if has_hinges
+            else "none, or give the springs file triangles"
+        )
         raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
     anchored_particles(scene, sheet)
     joined_particles(scene, sheet)

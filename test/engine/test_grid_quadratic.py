@@ -108,9 +108,9 @@ def test_bounds_of_rows_equal_those_of_lists(shape):
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("altitude", [True, False])
 def test_bits_ignore_threads_and_recorded_powers(damped, single, altitude):
-    case = scene((130, 97), damped=damped, altitude=altitude)
+    case = scene((90, 35) if altitude else (130, 97), damped=damped, altitude=altitude)
     alone = run(case, single_precision=single, threads=1).end_state
-    for threads in (2, 5, 16):
+    for threads in (2, 16):
         np.testing.assert_array_equal(run(case, single_precision=single, threads=threads).end_state, alone)
     np.testing.assert_array_equal(run(case, single_precision=single, record_power=True).end_state, alone)
 

@@ -75,7 +75,7 @@ class BoundSums {
 public:
     /// Start from blocks (6, n).
     BoundSums(const double* stiff, const double* damp, std::int64_t n) : numbers_(size * n, 0.0), n_(n) {
-        each([&](int at, int row, bool of_damp) {
+        visit_numbers([&](int at, int row, bool of_damp) {
             const double* const from = of_damp ? damp : stiff;
             for (std::int64_t i = 0; from && i < n_; ++i) numbers_[size * i + at] = from[row * n_ + i];
         });
@@ -102,7 +102,7 @@ public:
     }
     /// Write them back, to blocks that are not null.
     void store(double* stiff, double* damp) const {
-        each([&](int at, int row, bool of_damp) {
+        visit_numbers([&](int at, int row, bool of_damp) {
             double* const to = of_damp ? damp : stiff;
             for (std::int64_t i = 0; to && i < n_; ++i) to[row * n_ + i] = numbers_[size * i + at];
         });
@@ -111,7 +111,7 @@ public:
 private:
     static constexpr int size = 12;
     template <class F>
-    static void each(F&& visit) {
+    static void visit_numbers(F&& visit) {
         constexpr int stiff_at[6] = {0, 1, 2, 3, 4, 5}, damp_at[6] = {8, 9, 10, 11, 6, 7};
         for (int row = 0; row < 6; ++row) visit(stiff_at[row], row, false), visit(damp_at[row], row, true);
     }

@@ -49,7 +49,7 @@ struct Plan {
     /// The same of added mass.
     std::int64_t mass_list = -1;
     /// The list of quadratic hinges evaluated by rows, see `curvature_slots`; and the bound of its stiffness of each
-    /// particle [N/m], empty before it is asked for.
+    /// particle [N/m], empty before the first query.
     std::int64_t curvature_list = -1;
     std::vector<double> curvature_bounds;
     /// Rate of linear drag [1/s], accelerations by gravity and by wind through that drag [m/s^2].

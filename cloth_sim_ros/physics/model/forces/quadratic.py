@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import finite, indices
-from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 
 

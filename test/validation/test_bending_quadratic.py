@@ -183,7 +183,7 @@ def test_curved_mesh_needs_flat_rest():
     files = {"arc.obj": "\n".join(lines).encode()}
     values = {**SHEET, "cloth.mesh": "arc.obj", "cloth.anchors": [""]}
     del values["cloth.resolution"]
-    with pytest.raises(ParameterError, match="set bending.flat to true"):
+    with pytest.raises(ParameterError, match=r"set bending\.flat to true"):
         Scene.from_parameters(values, files=files)
     force = Scene.from_parameters({**values, "bending.flat": True}, files=files).model().force("quadratic")
     assert len(force.hinges) == 5
