@@ -167,7 +167,7 @@ def test_wrong_hinges_are_refused():
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"bending.rest_angle": 0.5}, r"bending.model is 'quadratic': hinge 0 .* rests at 28.6 degrees"),
+        ({"bending.rest_angle": 0.5}, r"bending.model is 'quadratic': hinge 0 .* rests at a fold of sine 0.479"),
         ({"material.bending_modulus": 0.0}, "bending model 'quadratic' needs material.bending_modulus above 0"),
     ],
 )

@@ -179,10 +179,10 @@ def bending_terms(
         constants = np.asarray(hinge_constants, dtype=np.float64)
         bent = np.flatnonzero((np.abs(shape.sine) > _FLAT_SINE) | (shape.cosine < 0.0))
         if bent.size:
-            angle = math.degrees(math.atan2(shape.sine[bent[0]], shape.cosine[bent[0]]))
             raise ValueError(
-                f"hinge {bent[0]} {quads[bent[0]].tolist()} rests at {angle:.3g} degrees, and quadratic hinges are "
-                "flat at rest; set bending.flat to true and no rest angle, or choose 'crossed' or 'altitude'"
+                f"hinge {bent[0]} {quads[bent[0]].tolist()} rests at a fold of sine {shape.sine[bent[0]]:.3g} and cosine "
+                f"{shape.cosine[bent[0]]:.3g}, and quadratic hinges are flat at rest; set bending.flat to true and no "
+                "rest angle, or choose 'crossed' or 'altitude'"
             )
         weights = hinge_weights(shape) if weights is None else weights
         return [QuadraticHinges(quads, weights, constants, _damping_time(damping, constants, weights, mass[quads]))]
