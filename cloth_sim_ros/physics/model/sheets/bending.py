@@ -180,8 +180,8 @@ def bending_terms(
         bent = np.flatnonzero((np.abs(shape.sine) > _FLAT_SINE) | (shape.cosine < 0.0))
         if bent.size:
             raise ValueError(
-                f"hinge {bent[0]} {quads[bent[0]].tolist()} rests at a fold of sine {shape.sine[bent[0]]:.3g} and cosine "
-                f"{shape.cosine[bent[0]]:.3g}, and quadratic hinges are flat at rest; set bending.flat to true and no "
+                f"hinge {bent[0]} {quads[bent[0]].tolist()} rests at a fold of sine {shape.sine[bent[0]]:.3g}, "
+                f"cosine {shape.cosine[bent[0]]:.3g}, and quadratic hinges are flat at rest; set bending.flat to true and no "
                 "rest angle, or choose 'crossed' or 'altitude'"
             )
         weights = hinge_weights(shape) if weights is None else weights
