@@ -181,8 +181,8 @@ def bending_terms(
         if bent.size:
             raise ValueError(
                 f"hinge {bent[0]} {quads[bent[0]].tolist()} rests at a fold of sine {shape.sine[bent[0]]:.3g}, "
-                f"cosine {shape.cosine[bent[0]]:.3g}, and quadratic hinges are flat at rest; set bending.flat to true and no "
-                "rest angle, or choose 'crossed' or 'altitude'"
+                f"cosine {shape.cosine[bent[0]]:.3g}, and quadratic hinges are flat at rest; set "
+                "bending.flat to true and no rest angle, or choose 'crossed' or 'altitude'"
             )
         weights = hinge_weights(shape) if weights is None else weights
         return [QuadraticHinges(quads, weights, constants, _damping_time(damping, constants, weights, mass[quads]))]
