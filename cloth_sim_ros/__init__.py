@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
     from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
     from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+    from cloth_sim_ros.physics.model.forces.quadratic import QuadraticHinges
     from cloth_sim_ros.physics.model.forces.wind import Wind
     from cloth_sim_ros.physics.model.model import Model
     from cloth_sim_ros.physics.model.parts import GridFamily
@@ -82,6 +83,7 @@ _MODULES = {
     "MoveObstacles": "simulation.events",
     "OppositeSprings": "physics.model.forces.opposite",
     "PairSprings": "physics.model.forces.pair_springs",
+    "QuadraticHinges": "physics.model.forces.quadratic",
     "Pause": "simulation.events",
     "Plan": "physics.plan.plan",
     "Relax": "simulation.events",
@@ -128,6 +130,7 @@ __all__ = [
     "PairSprings",
     "Pause",
     "Plan",
+    "QuadraticHinges",
     "Relax",
     "Reset",
     "Scene",

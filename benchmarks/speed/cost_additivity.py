@@ -39,7 +39,7 @@ DEFAULT_CLOTH = Path(__file__).resolve().parents[2] / "config" / "cloth_sim.yaml
 TIMES, SHARE = 1.1, 0.02
 SHEETS = ("grid", "mesh")
 #: Bending models, of which a cloth has at most one.
-BENDINGS = ("opposite", "crossed", "altitude")
+BENDINGS = ("opposite", "crossed", "altitude", "quadratic")
 FEATURES = (*BENDINGS, "air", "added-mass", "gripper", "numpy", "energy")
 #: Fixed step as a share of the smallest stability limit of the compared cloths.
 _STEP_SHARE = 0.8
@@ -179,7 +179,7 @@ def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float 
         del values["cloth.size"], values["cloth.resolution"]
     bending = next((name for name in BENDINGS if name in features), "none")
     values["bending.model"] = bending
-    if bending in ("crossed", "altitude"):
+    if bending in ("crossed", "altitude", "quadratic"):
         values["material.bending_modulus"] = 1e-5
     if "air" in features:
         values |= {"wind.velocity": [0.0, 1.0, 0.0], "wind.normal_drag": 0.2, "wind.tangential_drag": 0.05}

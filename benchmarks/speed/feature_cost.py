@@ -27,7 +27,9 @@ from validation.report import Report, Table
 MAX_HAND_WRITTEN_RATIO = 1.02
 #: Largest ratio of a sleeping frame to a moving one.
 MAX_SLEEP_RATIO = 0.03
-PARTS = ("hand", "features", "counts", "outputs", "start")
+#: Largest ratio of a frame of a realistic sheet to one of the default cloth.
+MAX_REALISTIC_RATIO = 1.5
+PARTS = ("hand", "features", "realistic", "counts", "outputs", "start")
 #: Scenes whose loaded modules are listed.
 _SCENES: dict[str, dict[str, Any]] = {
     "default": {},
@@ -49,7 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
     report = Report("Cost of features", "python -m benchmarks feature-cost")
-    parts = {"hand": _hand, "features": _features, "counts": _counts, "outputs": _outputs, "start": _start}
+    parts = {
+        "hand": _hand,
+        "features": _features,
+        "realistic": _realistic,
+        "counts": _counts,
+        "outputs": _outputs,
+        "start": _start,
+    }
     for part in PARTS:
         if part in options.only:
             parts[part](options, report)
@@ -149,6 +158,32 @@ def _features(options: argparse.Namespace, report: Report) -> None:
             if variant.asleep and ratio > MAX_SLEEP_RATIO:
                 report.fail(f"N = {resolution}: a frame asleep costs {ratio:.3g} of one that moves")
     report.tables.append(table)
+
+
+#: The default cloth, its parts one by one, and all together: warp and weft, bending modulus, drag and added mass.
+_DEFAULT_CLOTH = {"cloth.resolution": [30, 30], "grippers": [""]}
+_THREADS = {"material.stretch_modulus_weft": 500.0}
+_BENDING = {"material.bending_modulus": 1e-5, "material.bending_modulus_weft": 5e-6}
+_MASS = {"air.added_mass": 0.07}
+_WIND = {"wind.velocity": [0.0, 1.0, 0.0]}
+_BENDINGS = ("quadratic", "crossed", "altitude")
+
+
+def _realistic(options: argparse.Namespace, report: Report) -> None:
+    table = Table("A realistic sheet of 30 x 30 particles under error control", ["sheet", "frame ms", "to the default"])
+    sheets: dict[str, dict[str, Any]] = {"default": {}, "warp and weft": _THREADS, "added mass": _MASS}
+    sheets |= {f"bending {model}": {"bending.model": model, **_BENDING} for model in _BENDINGS}
+    sheets |= {f"realistic, {model}": {"bending.model": model, **_THREADS, **_BENDING, **_MASS} for model in _BENDINGS}
+    sheets["realistic, quadratic, in wind"] = sheets["realistic, quadratic"] | _WIND
+    scenes = {name: Scene.from_parameters({**_DEFAULT_CLOTH, **values}) for name, values in sheets.items()}
+    makers = {name: partial(_simulated, scene) for name, scene in scenes.items()}
+    times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
+    for name in sheets:
+        table.rows.append([name, 1e3 * statistics.median(times[name]), _ratio(times[name], times["default"])])
+    report.tables.append(table)
+    ratio = _ratio(times["realistic, quadratic"], times["default"])
+    if ratio > MAX_REALISTIC_RATIO:
+        report.fail(f"the realistic sheet takes {ratio:.3g} times the default; target {MAX_REALISTIC_RATIO:g}")
 
 
 def _counts(options: argparse.Namespace, report: Report) -> None:

@@ -95,7 +95,7 @@ def _plans(options: argparse.Namespace, report: Report) -> None:
     rows: list[tuple[str, PlanTime]] = []
     for count in options.meshes:
         rows.append(("mesh, vertices in random order", mesh_time(count, seconds=options.seconds)))
-    for bending in ("axial", "opposite", "crossed", "altitude"):
+    for bending in ("axial", "opposite", "crossed", "altitude", "quadratic"):
         rows.append((f"grid, bending {bending}", bending_time(PLAN_GRID, bending, seconds=options.seconds)))
     for turning in (False, True):
         scene = f"grid, gripper that {'moves and turns' if turning else 'moves'}"

@@ -53,7 +53,7 @@ def bending_time(resolution: int, bending: str, *, seconds: float) -> PlanTime:
     """Time a square grid with a bending model of hinges."""
     values: dict[str, object] = {"cloth.resolution": [resolution, resolution], "bending.model": bending}
     values["wind.normal_drag"] = 0.0
-    if bending in ("crossed", "altitude"):
+    if bending in ("crossed", "altitude", "quadratic"):
         values["material.bending_modulus"] = 1e-5
     simulation = Simulation(Scene.from_parameters(values))
     return _time(simulation.plan, 0.0, simulation.state.x, simulation.state.v, seconds=seconds)

@@ -55,7 +55,8 @@ KINDS = {
     "membrane": (8, 3, 6),
     "mass_triangle": (9, 3, 0),
     "mass_quad": (10, 4, 0),
-    "stiffening_membrane": (11, 3, 6),
+    "quadratic": (11, 4, 4),
+    "stiffening_membrane": (12, 3, 6),
 }
 #: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")

@@ -499,7 +499,7 @@ def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[Threads, tuple
     if is_oblique(scene) and (warp or weft):
         raise ParameterError(
             f"bending.model axial follows the grid's rows and columns, and material.warp_direction is "
-            f"{list(scene.material.warp_direction)}; choose crossed, altitude or none, or another direction"
+            f"{list(scene.material.warp_direction)}; choose quadratic, crossed, altitude or none, or another direction"
         )
     hx, hy = sheet.spacing
     along_rows, along_columns = along_grid(scene, (warp, weft), "bending.stiffness")
@@ -559,7 +559,7 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
                 viscosity=material.viscosity,
             )
         ]
-    if scene.bending.model in ("opposite", "crossed", "altitude"):
+    if scene.bending.model in ("opposite", "crossed", "altitude", "quadratic"):
         # A pair that has a spring gets no second one. Across a cell's diagonal that spring is the other diagonal.
         shear = [force.pairs for force in forces if force.name == "shear" and isinstance(force, GridSprings)]
         forces.extend(hinge_springs(scene, sheet, masses, shear[0] if shear else existing))
@@ -599,7 +599,7 @@ def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array
 
 
 def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
-    """Build the bending forces: S7 (opposite), S7 and S8 (crossed), or S7 and S9 (altitude).
+    """Build the bending forces: S7 (opposite), S7 and S8 (crossed), S7 and S9 (altitude), or quadratic hinges.
 
     Raises:
         ValueError: for raw springs whose triangles are no surface, or whose rest lengths make no triangle.
@@ -630,6 +630,8 @@ def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: ND
             spacing=sheet.spacing,
             bending_modulus=along_grid(scene, bending_moduli(scene), "material.bending_modulus"),
         )
+        if model == "quadratic":
+            options["weights"] = calibration.grid_hinge_weights(hinges, columns=sheet.columns, spacing=sheet.spacing)
     else:
         hinges = sheet.surface.hinges
         warp, weft = bending_moduli(scene)

@@ -186,7 +186,7 @@ class MaterialParameters:
     bending_modulus: float = parameter(
         "double",
         0.0,
-        "Moment per width and curvature; required by crossed and altitude bending, unused by other models",
+        "Moment per width and curvature; required by crossed, altitude and quadratic bending, unused by other models",
         unit="N m",
         min=0.0,
         max=1e6,
@@ -242,8 +242,8 @@ class BendingParameters:
         "string",
         "axial",
         "Springs that resist bending: none; axial (two apart along a grid's axes); opposite (S7); crossed (S7 and S8); "
-        "altitude (S7 and S9)",
-        choices=("none", "axial", "opposite", "crossed", "altitude"),
+        "altitude (S7 and S9); quadratic (hinges that are flat at rest)",
+        choices=("none", "axial", "opposite", "crossed", "altitude", "quadratic"),
     )
     stiffness: float = parameter(
         "double",

@@ -57,7 +57,11 @@ def check_sheet(scene: PhysicsScene) -> None:
             grid_threads_of(scene, sheet)
     elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none" and not len(sheet.triangles())):
         has_hinges = len(sheet.triangles()) > 0
-        fitting = "none, opposite, crossed or altitude" if has_hinges else "none, or give the springs file triangles"
+        fitting = (
+            "none, opposite, crossed, altitude or quadratic"
+            if has_hinges
+            else "none, or give the springs file triangles"
+        )
         raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
     anchored_particles(scene, sheet)
     joined_particles(scene, sheet)
@@ -78,10 +82,17 @@ def check_sheet(scene: PhysicsScene) -> None:
         except ValueError as error:
             name = "bending_modulus" if modulus else "bending_modulus_weft"
             raise ParameterError(f"material.{name} is {getattr(scene.material, name)} N m: {error}") from error
-    if model in ("crossed", "altitude") and not modulus:
+    if model in ("crossed", "altitude", "quadratic") and not modulus:
         raise ParameterError(
             f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
         )
+    if model == "quadratic":
+        try:
+            hinge_springs(scene, sheet, sheet.masses(1.0), None)
+        except ParameterError:
+            raise
+        except ValueError as error:
+            raise ParameterError(f"bending.model is 'quadratic': {error}") from error
     if model not in ("none", "axial") and (isinstance(sheet, RawSprings) or bending.rest_angles):
         try:
             hinge_springs(scene, sheet, sheet.masses(1.0), None)
@@ -105,7 +116,7 @@ def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
                 "are alike in all directions: set membrane.model to triangles, or stretch_modulus_weft to 0.0"
             )
     warp, weft = bending_moduli(scene)
-    if warp == weft or scene.bending.model not in ("crossed", "altitude"):
+    if warp == weft or scene.bending.model not in ("crossed", "altitude", "quadratic"):
         return
     if isinstance(sheet, RawSprings):
         raise ParameterError(

@@ -37,7 +37,7 @@ def test_pair_cost_above_the_bound_fails(both: float, holds: bool) -> None:
 
 def test_pairs_have_one_bending_model() -> None:
     pairs = adds.pairs(adds.FEATURES)
-    assert len(pairs) == len(set(pairs)) == 25
+    assert len(pairs) == len(set(pairs)) == 30
     assert ("opposite", "crossed") not in pairs
     assert ("altitude", "energy") in pairs
 

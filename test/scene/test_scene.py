@@ -151,10 +151,11 @@ def test_mass_is_density_times_area_and_top_edge_is_anchored():
         ("opposite", ["opposite"]),
         ("crossed", ["opposite", "crossed"]),
         ("altitude", ["opposite", "altitude"]),
+        ("quadratic", ["quadratic"]),
     ],
 )
 def test_bending_model_adds_only_its_forces(model, names):
-    modulus = 1e-4 if model in ("crossed", "altitude") else 0.0
+    modulus = 1e-4 if model in ("crossed", "altitude", "quadratic") else 0.0
     values = {"bending.model": model, "material.bending_modulus": modulus, "cloth.resolution": [5, 6]}
     forces = [force.name for force in Scene.from_parameters(values).model().forces]
     assert forces == ["structural", "shear", *names, "gravity", "drag", "air", "grips"]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A clamped strip under its weight against the heavy elastica, for S8 and S9."""
+"""A clamped strip under its weight against the heavy elastica, for S8, S9 and quadratic hinges."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_a_slight_elastica_is_the_cantilever_of_the_textbook():
     assert exact.curve[-1] == pytest.approx([1.0, exact.load / 8], rel=1e-6)
 
 
-@pytest.mark.parametrize("model", ["crossed", "altitude"])
+@pytest.mark.parametrize("model", ["crossed", "altitude", "quadratic"])
 @pytest.mark.parametrize("degrees", [5, 20, 40, 60, 80])
 def test_a_strip_hangs_as_the_elastica_does(model, degrees):
     exact = heavy_elastica(math.radians(degrees))
@@ -32,7 +32,7 @@ def test_a_strip_hangs_as_the_elastica_does(model, degrees):
     assert 1.8 < math.log2(coarse / fine) < 2.4  # second order
 
 
-@pytest.mark.parametrize("model", ["crossed", "altitude"])
+@pytest.mark.parametrize("model", ["crossed", "altitude", "quadratic"])
 def test_a_wider_strip_hangs_the_same(model):
     # the grid's hinges have no Poisson's ratio, therefore the width does not matter
     exact = heavy_elastica(math.radians(40))

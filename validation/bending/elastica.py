@@ -85,7 +85,12 @@ class Strip:
 
 
 def hanging_strip(
-    model: Literal["crossed", "altitude"], exact: Elastica, *, columns: int, rows: int = 3, stretch: float = 1e6
+    model: Literal["crossed", "altitude", "quadratic"],
+    exact: Elastica,
+    *,
+    columns: int,
+    rows: int = 3,
+    stretch: float = 1e6,
 ) -> Strip:
     """Find the equilibrium, under the load of `exact`, of a strip of length 1 m and modulus 1 N m.
 

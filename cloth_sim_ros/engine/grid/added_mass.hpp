@@ -30,8 +30,8 @@ CLOTH_INLINE void store_block(T* to, std::ptrdiff_t pitch, const Sym3<vec<T>>& b
 /// Process the cells below a row: add their forces to the force rows of this row and the next one, and their mass to
 /// `mass_rows` of this row, which is complete then; the blocks of the next row are set. `panel_share`: see CellTable.
 template <class T>
-__attribute__((noinline)) void add_mass_row(const RowView<T>& row_view, const T* panel_share, const double* common,
-                                            T* const* mass_rows) {
+CLOTH_SCHEDULED void add_mass_row(const RowView<T>& row_view, const T* panel_share, const double* common,
+                                  T* const* mass_rows) {
     using V = vec<T>;
     const RowView<T> at = row_view;
     const auto air = law_params<AddedMass<4>, V>(nullptr, common);

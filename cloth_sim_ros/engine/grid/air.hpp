@@ -32,7 +32,7 @@ struct AirRow {
 
 /// Tangential: whether there is drag along the surface.
 template <class T, bool Tangential>
-__attribute__((noinline)) void compute_cells(const AirRow<T>& row, const double* common) {
+CLOTH_SCHEDULED void compute_cells(const AirRow<T>& row, const double* common) {
     using V = vec<T>;
     const AirRow<T> at = row;
     const auto air = law_params<Panel<4>, V>(nullptr, common);
@@ -52,7 +52,7 @@ __attribute__((noinline)) void compute_cells(const AirRow<T>& row, const double*
 
 /// Add the drag to the forces of a row's particles; record the powers if Record.
 template <class T, bool Tangential, bool Record>
-__attribute__((noinline)) void add_air(const AirRow<T>& row, const double* common, PowerSums* powers) {
+CLOTH_SCHEDULED void add_air(const AirRow<T>& row, const double* common, PowerSums* powers) {
     using V = vec<T>;
     const AirRow<T> at = row;
     const auto air = law_params<Panel<4>, V>(nullptr, common);

@@ -5,6 +5,7 @@
 #pragma once
 
 #include "grid/air.hpp"
+#include "grid/curvature.hpp"
 #include "grid/dispatch.hpp"
 #include "grid/hinges.hpp"
 #include "plan/off_grid_forces.hpp"
@@ -21,11 +22,11 @@ public:
     GridForces(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), off_grid_(plan, run), window_(plan.workspace<T>().window),
           hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mass_cells_(plan.mass_table<T>()),
-          carries_air_(plan.has_added_mass()), pitch_(plan.tables.pitch),
+          curvature_(plan.curvature_table<T>()), carries_air_(plan.has_added_mass()), pitch_(plan.tables.pitch),
           uses_velocity_(plan.mode() != Mode::position_only) {
         n_cell_numbers_ = cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_);
         const std::int64_t n_mass_numbers = carries_air_ ? 2 * block_numbers * pitch_ : 0;
-        window_.resize((rows_of_window * (damping_velocity + 3) + 2 * 3 * 3 + 3) * pitch_ + n_cell_numbers_ +
+        window_.resize((rows_of_window * (damping_velocity + 3) + 3 * 3 * 3 + 3) * pitch_ + n_cell_numbers_ +
                        n_mass_numbers + 64 / sizeof(T));
         off_grid_.prepare_poses(1);
         off_grid_.init_contact_by_rows(1, pitch_);
@@ -46,7 +47,8 @@ public:
         T *const force_rows = window_.data() + rows_of_window * (damping_velocity + 3) * pitch_, *const hinge_forces =
                                                                                                      force_rows +
                                                                                                      3 * 3 * pitch_;
-        T *const out = hinge_forces + 3 * 3 * pitch_, *const cell_rows = out + 3 * pitch_;
+        T* const curvature_forces = hinge_forces + 3 * 3 * pitch_;
+        T *const out = curvature_forces + 3 * 3 * pitch_, *const cell_rows = out + 3 * pitch_;
         std::fill(force_rows, window_.data() + window_.size(), T(0));
         load_row(0);
         load_row(1);
@@ -75,6 +77,11 @@ public:
             T* hinge_rows[3];
             for (int k = 0; k < 3; ++k) hinge_rows[k] = hinge_forces + (row + k) % 3 * 3 * pitch_;
             if (!hinges_.empty()) add_hinge_row(hinges_, row, at, hinge_rows, true, nullptr, false);
+            if (!curvature_.empty()) {
+                T* curvature_rows[3];
+                for (int k = 0; k < 3; ++k) curvature_rows[k] = curvature_forces + (row + k) % 3 * 3 * pitch_;
+                add_curvature_row(curvature_, row, at, curvature_rows, true, nullptr);
+            }
             if (!cells_.empty()) add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, true, nullptr);
             if (!mass_cells_.empty()) add_mass_row(at, mass_cells_.of(row), plan_.cells_mass(), mass_rows);
             if (carries_air_ && off_grid_.has_prescribed()) off_grid_.hold_row(row, -1, at);
@@ -114,6 +121,7 @@ private:
     Array<T>& window_;
     const std::vector<RowTable<T>>& hinges_;
     const CellTable<T>&cells_, &mass_cells_;
+    const CurvatureTable<T>& curvature_;
     const bool carries_air_;
     std::int64_t n_cell_numbers_ = 0;
     const std::int64_t pitch_;

@@ -11,14 +11,6 @@
 #include "grid/dispatch.hpp"
 #include "laws/hinge.hpp"
 
-/// Laws of four corners need more registers than exist. GCC spills fewer values if it may move loads next to their
-/// uses, and the loop is a fifth faster. No bit changes, because the order of loads is no order of sums.
-#if defined(__AVX2__) && !defined(__clang__)
-#define CLOTH_SCHEDULED __attribute__((noinline, optimize("schedule-insns", "sched-pressure")))
-#else
-#define CLOTH_SCHEDULED __attribute__((noinline))
-#endif
-
 namespace cloth::grid {
 
 using laws::Altitude, laws::Crossed, laws::law_params, mesh::PowerSums;

@@ -8,6 +8,7 @@
 
 #include "core/thread_pool.hpp"
 #include "grid/air.hpp"
+#include "grid/curvature.hpp"
 #include "grid/dispatch.hpp"
 #include "grid/hinges.hpp"
 #include "plan/off_grid_forces.hpp"
@@ -22,8 +23,8 @@ public:
     GridRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), off_grid_(plan, run),
           hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mass_cells_(plan.mass_table<T>()),
-          carries_air_(plan.has_added_mass()), mode_(plan.mode()), state_(plan.workspace<T>(run.workspace).state),
-          force_rows_(plan.workspace<T>(run.workspace).force_rows),
+          curvature_(plan.curvature_table<T>()), carries_air_(plan.has_added_mass()), mode_(plan.mode()),
+          state_(plan.workspace<T>(run.workspace).state), force_rows_(plan.workspace<T>(run.workspace).force_rows),
           messages_(plan.workspace<T>(run.workspace).messages),
           middle_(plan.workspace<T>(run.workspace).middle_velocities), pitch_(tables_.pitch),
           length_(row_length<T>(grid_.columns)), stride_(components<T> * pitch_) {
@@ -92,8 +93,8 @@ private:
         const std::int64_t target = bytes > (std::int64_t{3} << 18) ? 4 : std::min(bands_, 2);
         return static_cast<int>(std::max<std::int64_t>(1, std::min(target, rows / (4 * row_reach))));
     }
-    /// Sets of three force rows: one for springs, one for hinges.
-    int rings() const { return hinges_.empty() ? 1 : 2; }
+    /// Sets of three force rows: one for springs, one for hinges, one for quadratic hinges.
+    int rings() const { return 1 + (hinges_.empty() ? 0 : 1) + (curvature_.empty() ? 0 : 1); }
     /// Numbers of one step of a sweep: force rows, two rows of cells, and two rows of mass blocks.
     std::int64_t numbers_of_level() const { return rings() * 9 * pitch_ + cell_numbers() + mass_numbers(); }
     std::int64_t cell_numbers() const { return cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_); }
@@ -294,6 +295,11 @@ private:
         if (owned) off_grid_.add_row_forces(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
         PowerSums* const powers = run_.power_integrals && step >= 0 ? &powers_ : nullptr;
         if (!hinges_.empty()) add_hinge_row(hinges_, row, at, hinge_rows, owned, powers, off_grid_.multirate);
+        if (!curvature_.empty()) {
+            T* curvature_rows[3];
+            for (int k = 0; k < 3; ++k) curvature_rows[k] = at.force_rows[k] + (rings() - 1) * levels_ * 9 * pitch_;
+            add_curvature_row(curvature_, row, at, curvature_rows, owned, powers);
+        }
         if (!cells_.empty()) {
             T* const cell_rows =
                 force_rows_[b].data() + levels_ * rings() * 9 * pitch_ + 2 * level * air_row_size<T>(pitch_);
@@ -340,6 +346,7 @@ private:
     OffGridForces<T> off_grid_;
     const std::vector<RowTable<T>>& hinges_;
     const CellTable<T>&cells_, &mass_cells_;
+    const CurvatureTable<T>& curvature_;
     const bool carries_air_;
     PowerSums powers_;
     Mode mode_;

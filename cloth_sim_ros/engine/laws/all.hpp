@@ -9,4 +9,5 @@
 #include "laws/joint.hpp"
 #include "laws/membrane.hpp"
 #include "laws/panel.hpp"
+#include "laws/quadratic.hpp"
 #include "laws/spring.hpp"

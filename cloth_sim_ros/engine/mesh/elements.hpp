@@ -23,6 +23,7 @@ enum class Kind : int {
     membrane,
     mass3,
     mass4,
+    quadratic,
     stiffening_membrane
 };
 /// Whether elements are panels of air, which have common parameters alone.
@@ -37,11 +38,13 @@ inline constexpr int corners_of(Kind kind) {
 }
 inline constexpr int params_of(Kind kind) {
     if (is_panel(kind) || is_mass(kind)) return 0;
+    if (kind == Kind::quadratic) return 4;
     return kind == Kind::joint ? 2 : is_membrane(kind) ? 6 : 3;
 }
 /// Number of parameters that all elements of a list have in common.
 inline constexpr int common_of(Kind kind) {
     if (kind == Kind::stiffening_membrane) return 14;
+    if (kind == Kind::quadratic) return 1;
     return is_panel(kind) || is_mass(kind) ? 5 : kind == Kind::membrane ? 8 : 0;
 }
 inline constexpr int max_params = 6, max_common = 14;
@@ -67,8 +70,9 @@ public:
         if (numbers) this->params.assign(params, params + count * numbers);
         if (common) std::copy(common, common + common_of(kind), this->common);
         slow = kind == Kind::crossed || kind == Kind::altitude;
-        damped = is_panel(kind) || is_mass(kind);
-        for (std::int64_t e = 0; !damped && e < count; ++e) damped = this->params[e * numbers + numbers - 1] != 0.0;
+        damped = is_panel(kind) || is_mass(kind) || (kind == Kind::quadratic && this->common[0] > 0.0);
+        for (std::int64_t e = 0; !damped && kind != Kind::quadratic && e < count; ++e)
+            damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
 
     /// Select the elements with a corner from `first` to before `last`, with particles renumbered by `rank`, in order

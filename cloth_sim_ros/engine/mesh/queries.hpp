@@ -69,28 +69,91 @@ inline void list_power(const List& list, const double* x, const double* v, std::
     });
 }
 
-/// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n), and the transverse part of the stiffness of
-/// springs to `transverse` (n) unless null.
+/// Blocks that bound stiffness [N/m] and damping [N s/m], collected particle by particle: xx, yy, zz, xy, then xz and yz
+/// of both, then xx, yy, zz, xy of damping.
+class BoundSums {
+public:
+    /// Start from blocks (6, n).
+    BoundSums(const double* stiff, const double* damp, std::int64_t n) : numbers_(size * n, 0.0), n_(n) {
+        visit_numbers([&](int at, int row, bool of_damp) {
+            const double* const from = of_damp ? damp : stiff;
+            for (std::int64_t i = 0; from && i < n_; ++i) numbers_[size * i + at] = from[row * n_ + i];
+        });
+    }
+    /// Add the bounds of the elements from `first` on at their corners, in the list's order.
+    template <class Law>
+    CLOTH_INLINE void add(const List& list, std::int64_t first, const Bound<vec<double>>* bounds) {
+        using V = vec<double>;
+        quad<double> rows[Law::corners][3][lanes<double>];
+        for (int c = 0; c < Law::corners; ++c) {
+            const Sym3<V>&k = bounds[c].stiff, &damp = bounds[c].damp;
+            const V i = bounds[c].isotropic;
+            interleave(k.xx + i, k.yy + i, k.zz + i, rows[c][0], k.xy);
+            interleave(k.xz, k.yz, list.damped ? damp.xz : V{}, rows[c][1], list.damped ? damp.yz : V{});
+            if (list.damped) interleave(damp.xx, damp.yy, damp.zz, rows[c][2], damp.xy);
+        }
+        const int n_lanes = static_cast<int>(std::min<std::int64_t>(lanes<double>, list.count - first));
+        for (int lane = 0; lane < n_lanes; ++lane)
+            for (int c = 0; c < Law::corners; ++c) {
+                double* const to = numbers_.data() + size * list.corners[(first + lane) * Law::corners + c];
+                for (int q = 0; q < (list.damped ? 3 : 2); ++q)
+                    store4(to + 4 * q, quad<double>(load4(to + 4 * q) + rows[c][q][lane]));
+            }
+    }
+    /// Write them back, to blocks that are not null.
+    void store(double* stiff, double* damp) const {
+        visit_numbers([&](int at, int row, bool of_damp) {
+            double* const to = of_damp ? damp : stiff;
+            for (std::int64_t i = 0; to && i < n_; ++i) to[row * n_ + i] = numbers_[size * i + at];
+        });
+    }
+
+private:
+    static constexpr int size = 12;
+    template <class F>
+    static void visit_numbers(F&& visit) {
+        constexpr int stiff_at[6] = {0, 1, 2, 3, 4, 5}, damp_at[6] = {8, 9, 10, 11, 6, 7};
+        for (int row = 0; row < 6; ++row) visit(stiff_at[row], row, false), visit(damp_at[row], row, true);
+    }
+    Array<double> numbers_;
+    std::int64_t n_;
+};
+
+/// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n) or null, and the transverse part of the
+/// stiffness of springs to `transverse` (n) unless null. Laws are evaluated for vectors of elements.
 inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp,
                             double* transverse = nullptr) {
-    if (is_mass(list.kind) && !list.has_wind()) return;
+    if (!list.count || (is_mass(list.kind) && !list.has_wind())) return;
+    BoundSums sums(stiff, damp, n);
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
-        for (std::int64_t e = 0; e < list.count; ++e) {
-            const ElementState<Law> s(list, e, x, nullptr, n);
-            Bound<double> bound[Law::corners];
-            Law::bounds(s.params, s.d, bound);
-            for (int i = 0; i < Law::corners; ++i) {
-                const std::int64_t p = list.corners[e * list.width + i];
-                const Sym3<double>& k = bound[i].stiff;
-                const double isotropic = bound[i].isotropic;
-                if (stiff)
-                    add_block(stiff, n, p, {k.xx + isotropic, k.yy + isotropic, k.zz + isotropic, k.xy, k.xz, k.yz});
-                if (damp && list.damped) add_block(damp, n, p, bound[i].damp);
-                if (transverse) transverse[p] += bound[i].transverse;
+        using V = vec<double>;
+        constexpr int C = Law::corners, L = lanes<double>;
+        for (std::int64_t first = 0; first < list.count; first += L) {
+            alignas(64) double coordinates[C][3][L], numbers[max_params][L];
+            for (int k = 0; k < L; ++k) {
+                // Beyond the end the last element is repeated.
+                const std::int64_t e = std::min(first + k, list.count - 1);
+                for (int c = 0; c < C; ++c)
+                    for (int axis = 0; axis < 3; ++axis)
+                        coordinates[c][axis][k] = x[axis * n + list.corners[e * C + c]];
+                for (int i = 0; i < Law::params; ++i) numbers[i][k] = list.params[e * Law::params + i];
             }
+            const auto point = [&](int c) {
+                return Vec3<V>{load(coordinates[c][0]), load(coordinates[c][1]), load(coordinates[c][2])};
+            };
+            Vec3<V> d[C - 1];
+            for (int c = 1; c < C; ++c) d[c - 1] = point(c) - point(0);
+            V params[max_params];
+            for (int i = 0; i < Law::params; ++i) params[i] = load(numbers[i]);
+            Bound<V> bounds[C];
+            Law::bounds(law_params<Law, V>(params, list.common), d, bounds);
+            sums.add<Law>(list, first, bounds);
+            for (int k = 0; transverse && k < L && first + k < list.count; ++k)
+                for (int c = 0; c < C; ++c) transverse[list.corners[(first + k) * C + c]] += bounds[c].transverse[k];
         }
     });
+    sums.store(stiff, damp);
 }
 
 /// Add (df/dx) dx + (df/dv) dv to out (3, n), by the law on dual numbers.

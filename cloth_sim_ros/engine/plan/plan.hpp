@@ -12,6 +12,7 @@
 #include "contact/layer_anchors.hpp"
 #include "contact/obstacles.hpp"
 #include "grid/cells.hpp"
+#include "grid/differences.hpp"
 #include "grid/stencils.hpp"
 #include "mesh/elements.hpp"
 #include "plan/frame_request.hpp"
@@ -26,8 +27,8 @@ struct FeatureContactModel;
 namespace cloth::plan {
 
 using mesh::is_mass, contact::Contacts, contact::FeatureContactModel, contact::layer_sides, contact::LayerAnchors,
-    contact::ReducedThickness, contact::SelfContact, grid::Grid, grid::GridTables, grid::Mode, grid::StepFactors,
-    laws::anchor_numbers, laws::Scaling, mesh::List;
+    contact::ReducedThickness, contact::SelfContact, grid::CurvatureTable, grid::Grid, grid::GridTables, grid::Mode,
+    grid::StepFactors, laws::anchor_numbers, laws::Scaling, mesh::List;
 
 struct Plan {
     Plan();
@@ -47,6 +48,10 @@ struct Plan {
     std::int64_t air_list = -1;
     /// The same of added mass.
     std::int64_t mass_list = -1;
+    /// The list of quadratic hinges evaluated by rows, see `curvature_slots`; and the bound of its stiffness of each
+    /// particle [N/m], empty before the first query.
+    std::int64_t curvature_list = -1;
+    std::vector<double> curvature_bounds;
     /// Rate of linear drag [1/s], accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Grips grips;
@@ -93,6 +98,7 @@ struct Plan {
     void add_list(List list) {
         lists.push_back(std::move(list));
         slots.clear();
+        curvature_bounds.clear();
         workspaces[0].has_tables = single_workspaces[0].has_tables = false;
     }
     /// Assign lists to rows of the grid: hinges, then springs between their wings, then the first list of panels.
@@ -122,6 +128,10 @@ struct Plan {
     template <class T>
     const CellTable<T>& mass_table() {
         return workspace_with_tables<T>().mass_cells;
+    }
+    template <class T>
+    const CurvatureTable<T>& curvature_table() {
+        return workspace_with_tables<T>().curvature;
     }
     template <class T>
     const Workspace<T>& workspace_with_tables();

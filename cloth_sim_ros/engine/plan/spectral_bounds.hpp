@@ -244,6 +244,20 @@ inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* bl
     return r;
 }
 
+/// Add the bounds of quadratic hinges evaluated by rows, which do not depend on positions and are multiples of I.
+inline void add_curvature_bounds(Plan& plan, const double* x, double* stiff, double* damp) {
+    const List& list = plan.lists[plan.curvature_list];
+    if (plan.curvature_bounds.empty()) {
+        Array<double> blocks(6 * plan.count, 0.0);
+        add_list_bounds(list, x, plan.count, blocks.data(), nullptr);
+        plan.curvature_bounds.assign(blocks.begin(), blocks.begin() + plan.count);
+    }
+    for (std::int64_t i = 0; i < plan.count; ++i) {
+        stiff[i] += plan.curvature_bounds[i];
+        damp[i] = fma(list.common[0], plan.curvature_bounds[i], damp[i]);
+    }
+}
+
 SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges) {
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0), blocks;
@@ -252,7 +266,9 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
     const bool has_panels = plan.air_list >= 0;
     // Air at rest adds no bound.
     const bool has_mass = plan.mass_list >= 0 && !plan.lists[plan.mass_list].has_wind();
-    if (plan.lists.size() == (has_panels ? 1U : 0U) + (has_mass ? 1U : 0U) && plan.grid && !stiff) {
+    const bool has_curvature = plan.curvature_list >= 0;
+    if (plan.lists.size() == std::size_t{has_panels} + std::size_t{has_mass} + std::size_t{has_curvature} &&
+        plan.grid && !stiff) {
         // Single precision halves the time. Its rounding is far below the safety margin of a step.
         const Grid& grid = *plan.grid;
         GridBounds<float> bounds(grid, plan.grid_tables<float>(), x, has_panels ? &plan.cell_table<float>() : nullptr,
@@ -271,6 +287,7 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
                 }
             }
         }
+        if (has_curvature) add_curvature_bounds(plan, x, k.data(), c.data());
         add_grips(plan, k.data(), c.data());
     } else {
         blocks.assign(12 * n, 0.0);

@@ -8,7 +8,7 @@
 
 namespace cloth::plan {
 
-using contact::contact_block, mesh::is_panel, mesh::Kind;
+using contact::contact_block, mesh::Kind;
 
 template <class T>
 const GridTables<T>& Plan::grid_tables() {
@@ -38,6 +38,12 @@ void Plan::assign_lists() {
         }
         return -1;
     };
+    curvature_list = -1;
+    for (std::size_t k = 0; grid && curvature_list < 0 && k < lists.size(); ++k) {
+        if (lists[k].kind != Kind::quadratic) continue;
+        list_slots[k] = grid::curvature_slots(*grid, lists[k]);
+        if (!list_slots[k].empty()) curvature_list = static_cast<std::int64_t>(k);
+    }
     air_list = first_cells(Kind::panel4);
     mass_list = first_cells(Kind::mass4);
     slots = std::move(list_slots);
@@ -64,10 +70,12 @@ const Workspace<T>& Plan::workspace_with_tables() {
     assign_lists();
     first.tables.clear();
     for (std::size_t k = 0; k < lists.size(); ++k)
-        if (!slots[k].empty() && !is_panel(lists[k].kind) && !is_mass(lists[k].kind))
+        if (!slots[k].empty() && (lists[k].slow || lists[k].kind == Kind::spring))
             first.tables.emplace_back(*grid, lists[k], slots[k]);
     first.cells = air_list < 0 ? CellTable<T>() : CellTable<T>(*grid, slots[air_list]);
     first.mass_cells = mass_list < 0 ? CellTable<T>() : CellTable<T>(*grid, slots[mass_list]);
+    first.curvature = curvature_list < 0 ? CurvatureTable<T>()
+                                         : CurvatureTable<T>(*grid, lists[curvature_list], slots[curvature_list]);
     first.has_tables = true;
     return first;
 }

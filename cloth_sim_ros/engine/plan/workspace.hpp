@@ -5,12 +5,13 @@
 #pragma once
 
 #include "grid/cells.hpp"
+#include "grid/differences.hpp"
 #include "grid/stencils.hpp"
 #include "mesh/elements.hpp"
 
 namespace cloth::plan {
 
-using grid::CellTable, grid::RowTable, mesh::Elements;
+using grid::CellTable, grid::CurvatureTable, grid::RowTable, mesh::Elements;
 
 /// Particles of one thread, and the listed elements that touch them. Elements at a border are evaluated on both sides,
 /// so that the sum of each particle has one order.
@@ -36,6 +37,7 @@ struct Workspace {
     Array<T> predicted_impulses[3];
     std::vector<RowTable<T>> tables;
     CellTable<T> cells, mass_cells;
+    CurvatureTable<T> curvature;
     bool has_tables = false;  ///< whether tables and cells are up to date with the lists of the plan
 };
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 #: Arithmetic operations of a step: to move a particle, of a grid's spring, of an air panel and of added mass on a cell
 #: of a grid. They include gathering. Choices that depend on them are the same on every machine.
 MOVE_OPERATIONS, GRID_SPRING_OPERATIONS = 40, 26
-GRID_CELL_OPERATIONS = {"quad": 45, "mass_quad": 140}
+GRID_CELL_OPERATIONS = {"quad": 45, "mass_quad": 140, "quadratic": 12}
 #: Element kinds of added mass.
 MASS_KINDS = ("mass_triangle", "mass_quad")
 #: Element kinds whose forces multirate runs evaluate less often.
@@ -36,6 +36,7 @@ HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
 ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160)
 ELEMENT_OPERATIONS |= {"membrane": 130, "stiffening_membrane": 160, "mass_triangle": 240, "mass_quad": 300}
+ELEMENT_OPERATIONS |= {"quadratic": 120}
 
 
 @attrs.define(eq=False)

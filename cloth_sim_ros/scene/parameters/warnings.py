@@ -66,12 +66,12 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (
         ("bending.stiffness_weft",),
         lambda scene: scene.bending.model != "axial",
-        "only axial bending uses it; crossed and altitude take material.bending_modulus_weft",
+        "only axial bending uses it; crossed, altitude and quadratic take material.bending_modulus_weft",
     ),
     (
         ("material.bending_modulus_weft",),
-        lambda scene: scene.bending.model not in ("crossed", "altitude"),
-        "only crossed and altitude bending use it",
+        lambda scene: scene.bending.model not in ("crossed", "altitude", "quadratic"),
+        "only crossed, altitude and quadratic bending use it",
     ),
     (
         ("material.warp_direction",),
@@ -81,7 +81,7 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (
         ("bending.stiffness",),
         lambda scene: scene.bending.model not in ("axial", "opposite"),
-        "only axial and opposite bending use it; crossed and altitude take material.bending_modulus",
+        "only axial and opposite bending use it; crossed, altitude and quadratic take material.bending_modulus",
     ),
     (
         ("bending.rest_angle", "bending.rest_angles", "bending.flat"),

@@ -45,13 +45,16 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings, gradient_squares
 from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.forces.quadratic import QuadraticHinges
 from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
 from cloth_sim_ros.physics.model.sheets.surface import needs_opposite_spring
 
-BendingModel = Literal["opposite", "crossed", "altitude"]
+BendingModel = Literal["opposite", "crossed", "altitude", "quadratic"]
 
 #: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which another ratio holds, and that ratio. Each is the
 #: middle of the range in which a pair finds its rest shape again (docs/bending.md has the map).
+#: Largest sine of a rest fold that counts as flat.
+_FLAT_SINE = 1e-3
 RATIOS = {"crossed": (2.0, math.pi, 2.0), "altitude": (0.5, math.radians(80.0), 1.4)}
 
 
@@ -125,14 +128,16 @@ def bending_terms(
     masses: ArrayLike | None = None,
     existing: ArrayLike | None = None,
     shape: HingeShape | None = None,
-) -> list[PairSprings | HingeSprings]:
-    """Return the springs of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9.
+    weights: Array | None = None,
+) -> list[PairSprings | HingeSprings | QuadraticHinges]:
+    """Return the springs of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9,
+    `quadratic` has quadratic hinges alone.
 
     Args:
         model: the bending model.
         hinges: hinges of the surface, shape (m, 4).
         positions: particles of the surface at rest [m], shape (n, 3).
-        hinge_constants: k_θ [N m], shape (m,), for `crossed` and `altitude`; see `grid_hinge_constants`,
+        hinge_constants: k_θ [N m], shape (m,), for all models but `opposite`; see `grid_hinge_constants`,
             `mesh_hinge_constants`.
         spring_stiffness: k_s [N] of S7, one number or shape (m,), for `opposite` alone.
         rest_angle: fold at rest [rad], positive to the side of the normal, one number or shape (m,). None, or NaN in an
@@ -142,6 +147,7 @@ def bending_terms(
         masses: particle masses [kg], shape (n,); required with damping.
         existing: pairs of existing springs, (s, 2); S7 leaves them out.
         shape: hinges at rest; None measures those of `positions`.
+        weights: weights of quadratic hinges [1/m], shape (m, 4); None takes those of `shape`.
 
     Raises:
         ValueError: for a parameter that does not belong to the model or is out of range.
@@ -169,6 +175,17 @@ def bending_terms(
         return [_opposite_springs(quads, distance, k_s, has_spring, damping, mass)]
     if spring_stiffness is not None or hinge_constants is None:
         raise ValueError(f"bending model '{model}' takes hinge_constants (k_θ in N m), not spring_stiffness")
+    if model == "quadratic":
+        constants = np.asarray(hinge_constants, dtype=np.float64)
+        bent = np.flatnonzero((np.abs(shape.sine) > _FLAT_SINE) | (shape.cosine < 0.0))
+        if bent.size:
+            raise ValueError(
+                f"hinge {bent[0]} {quads[bent[0]].tolist()} rests at a fold of sine {shape.sine[bent[0]]:.3g}, "
+                f"cosine {shape.cosine[bent[0]]:.3g}, and quadratic hinges are flat at rest; set "
+                "bending.flat to true and no rest angle, or choose 'crossed' or 'altitude'"
+            )
+        weights = hinge_weights(shape) if weights is None else weights
+        return [QuadraticHinges(quads, weights, constants, _damping_time(damping, constants, weights, mass[quads]))]
     stiffness, opposite_stiffness = spring_constants(model, shape, hinge_constants, ratio=ratio)
     is_altitude = model == "altitude"
     rest_length = shape.length("altitude" if is_altitude else "crossed")
@@ -178,6 +195,47 @@ def bending_terms(
     else:
         hinge_springs = CrossedSprings(quads[:, :2], quads[:, 2:], rest_length, stiffness, k_d)
     return [_opposite_springs(quads, distance, opposite_stiffness * distance, has_spring, damping, mass), hinge_springs]
+
+
+def hinge_weights(shape: HingeShape) -> Array:
+    """Return the weights of quadratic hinges of flat triangles [1/m], shape (m, 4).
+
+    The vector Σ w_i x_i is the sum of the unit vectors from the edge to both wings, at right angles to it.
+    """
+    at_end = shape.foot0 / shape.edge / shape.height0 + shape.foot1 / shape.edge / shape.height1
+    first, second = 1.0 / shape.height0, 1.0 / shape.height1
+    return np.stack([at_end - first - second, -at_end, first, second], axis=1)
+
+
+def grid_hinge_weights(hinges: ArrayLike, *, columns: int, spacing: tuple[float, float]) -> Array:
+    """Return the weights of quadratic hinges of a grid without rounding, shape (m, 4): see `hinge_weights`.
+
+    The hinges of an edge along a column have second differences along a row, those of a diagonal twists of a cell.
+
+    Args:
+        hinges: those of `surface.grid_hinges`, shape (m, 4).
+        columns: number of particles in a row.
+        spacing: distances hx of neighbours in a row and hy in a column [m].
+    """
+    quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
+    hx, hy = spacing
+    row, column = np.divmod(quads, columns)
+    along_column, along_row = column[:, 0] == column[:, 1], row[:, 0] == row[:, 1]
+    wing = np.select([along_column, along_row], [1.0 / hx, 1.0 / hy], math.sqrt(hx * hx + hy * hy) / (hx * hy))
+    # The second difference passes through the end of the edge that is in line with the wings.
+    is_first = np.where(along_column, row[:, 0] == row[:, 2], column[:, 0] == column[:, 2])
+    share = np.where(along_column | along_row, np.where(is_first, 2.0, 0.0), 1.0)
+    return np.stack([-share * wing, (share - 2.0) * wing, wing, wing], axis=1)
+
+
+def _damping_time(damping: float, constants: Array, weights: Array, masses: Array) -> float:
+    """Return the time of damping [s]: the least k_d / k over hinges, where k_d is that of `_hinge_damping`."""
+    is_stiff = constants > 0.0
+    if not damping or not is_stiff.any():
+        return 0.0
+    first, second, third, fourth = (weights * weights / masses).T
+    squares = first + second + third + fourth
+    return damping * float(np.sqrt(2.0 / (constants[is_stiff] * squares[is_stiff])).min())
 
 
 def spring_constants(
