@@ -78,6 +78,10 @@ _X = _particles(3)
 _B = _particles(6)
 _PATHS: Size = lambda _, plan: binding.PATH_NUMBERS * plan["grippers"]  # noqa: E731
 _LISTS = list(binding.KINDS.values())
+#: Numbers that all elements of a list have in common, by kind; panels and added mass have five.
+_SHARED = {
+    binding.KINDS[name][0]: count for name, count in (("membrane", 8), ("stiffening_membrane", 14), ("quadratic", 1))
+}
 
 #: Result kind and argument kinds of each function: h, i, d, or the size of memory.
 CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
@@ -92,7 +96,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
             "i",
             lambda a, _: a[2] * _LISTS[a[1]][1],
             lambda a, _: a[2] * _LISTS[a[1]][2],
-            lambda a, _: {binding.KINDS["membrane"]: 8, binding.KINDS["stiffening_membrane"]: 14}.get(_LISTS[a[1]], 5),
+            lambda a, _: _SHARED.get(a[1], 5),
         ),
     ),
     "cloth_plan_uniform": ("i", ("h", _fixed(3), _fixed(3), "d")),
