@@ -114,6 +114,8 @@ def _read_arrays(
     import zipfile
     import zlib
 
+    if not zipfile.is_zipfile(io.BytesIO(content)):
+        raise FitError("is no npz file: write it with numpy.savez")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {}
@@ -125,6 +127,8 @@ def _read_arrays(
                 if n_bytes > _MAX_BYTES:
                     raise FitError(f"the array '{key}' has {n_bytes} bytes unpacked; at most {_MAX_BYTES} are read")
                 array = file[key]
+                if not isinstance(array, np.ndarray):
+                    raise FitError(f"the array '{key}' is damaged: write the file anew with numpy.savez")
                 if array.dtype.kind not in "fiu":
                     raise FitError(f"the array '{key}' has the type {array.dtype}; it must be of real numbers")
                 arrays[name] = array.astype(np.float64)

@@ -97,6 +97,16 @@ def test_array_of_a_false_shape_is_refused(tmp_path: Path) -> None:
         read_clouds(tmp_path / "clouds.npz", 4)
 
 
+def test_damaged_arrays_are_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "clouds.npz", "w") as file:
+        file.writestr("times.npy", b"")
+    with pytest.raises(FitError, match="the array 'times' is damaged"):
+        read_clouds(tmp_path / "clouds.npz", 4)
+    (tmp_path / "clouds.npz").write_text("no archive")
+    with pytest.raises(FitError, match=r"is no npz file: write it with numpy\.savez"):
+        read_clouds(tmp_path / "clouds.npz", 4)
+
+
 def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
     points = np.arange(24.0).reshape(2, 4, 3)
     points[0, 1] = np.nan
