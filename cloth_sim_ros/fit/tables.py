@@ -128,7 +128,7 @@ def _read_arrays(
                     raise FitError(f"the array '{key}' has {n_bytes} bytes unpacked; at most {_MAX_BYTES} are read")
                 array = file[key]
                 if not isinstance(array, np.ndarray):
-                    raise FitError(f"the array '{key}' is damaged: write the file anew with numpy.savez")
+                    raise FitError(f"the array '{key}' is damaged: write the file again with numpy.savez")
                 if array.dtype.kind not in "fiu":
                     raise FitError(f"the array '{key}' has the type {array.dtype}; it must be of real numbers")
                 arrays[name] = array.astype(np.float64)
