@@ -18,6 +18,8 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Longest accepted recording [s].
 MAX_DURATION = 3600.0
+#: Largest accepted coordinate of a point [m].
+MAX_COORDINATE = 1e6
 
 
 def _to_array(values: ArrayLike) -> NDArray[np.float64]:
@@ -93,6 +95,13 @@ class Recording:
             raise FitError(f"{self.name} holds no cloud")
         if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0.0).all()):
             raise FitError(f"{self.name}: the times of the clouds must be finite and ascending")
+        for time, cloud in zip(self.times, self.clouds, strict=True):
+            farthest = float(np.max(np.abs(cloud), initial=0.0, where=np.isfinite(cloud)))
+            if farthest > MAX_COORDINATE:
+                raise FitError(
+                    f"{self.name}: the cloud of time {time:g} s has the coordinate {farthest:g} m; at most "
+                    f"{MAX_COORDINATE:g} m are possible. Give points in metres, and hidden ones as NaN"
+                )
         span = self.times[-1] - self.times[0]
         if span > MAX_DURATION:
             cause = f"clouds span {span:.0f} s; the limit is {MAX_DURATION:g} s"

@@ -79,7 +79,7 @@ def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
         used.append(np.array(indices, dtype=np.int64))
     if n_wrong and not any(len(indices) for indices in used):
         ratio = float(np.median(ratios))
-        unit = "; are its points in millimetres?" if 300.0 < ratio < 3000.0 else ""
+        unit = ". Are its points in millimetres?" if 300.0 < ratio < 3000.0 else "."
         raise FitError(
             f"none of {n_wrong} clouds can be the scene's cloth: they are {ratio:.3g} times as large{unit} Give points "
             "in metres, and the cloth's size in the scene"

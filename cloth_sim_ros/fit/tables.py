@@ -16,6 +16,7 @@ from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recorded import RecordedGripper
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene import input_file
+from cloth_sim_ros.simulation import pose_table
 
 #: Endings of the files.
 ENDINGS = (".csv", ".npz")
@@ -89,7 +90,6 @@ def read_track(path: Path, start: float, *, scale: float = 1.0) -> RecordedGripp
     Raises:
         FitError: naming file, line and fault.
     """
-    from cloth_sim_ros.simulation import pose_table
     from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
     try:
@@ -112,7 +112,10 @@ def _read_arrays(
 ) -> tuple[NDArray[np.float64], list[Array]]:
     import io
     import zipfile
+    import zlib
 
+    if not zipfile.is_zipfile(io.BytesIO(content)):
+        raise FitError("is no npz file: write it with numpy.savez")
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             arrays = {}
@@ -120,8 +123,16 @@ def _read_arrays(
                 key = columns.get(name, name)
                 if key not in file:
                     raise FitError(f"there is no array '{key}'; there are {_listed(file.files)}")
-                arrays[name] = np.asarray(file[key], dtype=np.float64)
-    except (zipfile.BadZipFile, EOFError) as error:
+                n_bytes = file.zip.getinfo(f"{key}.npy").file_size
+                if n_bytes > _MAX_BYTES:
+                    raise FitError(f"the array '{key}' has {n_bytes} bytes unpacked; at most {_MAX_BYTES} are read")
+                array = file[key]
+                if not isinstance(array, np.ndarray):
+                    raise FitError(f"the array '{key}' is damaged: write the file again with numpy.savez")
+                if array.dtype.kind not in "fiu":
+                    raise FitError(f"the array '{key}' has the type {array.dtype}; it must be of real numbers")
+                arrays[name] = array.astype(np.float64)
+    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, MemoryError) as error:
         raise FitError(f"is no npz file: {error}") from error
     times, points = arrays["times"], arrays["points"]
     if times.ndim != 1 or points.shape != (len(times), *points.shape[1:2], 3):
@@ -138,9 +149,10 @@ def _read_csv(
     content: bytes, count: int, columns: Mapping[str, str], matched: bool
 ) -> tuple[NDArray[np.float64], list[Array]]:
     try:
-        lines = content.decode().splitlines()
+        lines = content.decode().removeprefix(pose_table.BYTE_ORDER_MARK).splitlines()
     except UnicodeDecodeError as error:
         raise FitError(f"is no text in UTF-8: {error}") from error
+    pose_table.check_separator(lines)
     reader = csv.reader(lines, skipinitialspace=True)
     header = [name.strip() for name in next(reader, [])]
     names = {name: columns.get(name, name) for name in _COLUMNS}

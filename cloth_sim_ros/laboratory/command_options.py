@@ -49,6 +49,8 @@ def sample_of(options: argparse.Namespace) -> FabricSample:
         name, equals, value = text.partition("=")
         if not (name and equals and value):
             raise LaboratoryError(f"--set is '{text}'; write NAME=VALUE")
+        if name in overrides:
+            raise LaboratoryError(f"--set names '{name}' twice; give it once")
         try:
             overrides[name] = ros_yaml.load(value)
         except yaml.YAMLError:
@@ -79,7 +81,9 @@ def run_test(name: str, options: argparse.Namespace, test: Callable[[], int], **
         print(f"{name}: {error}", file=sys.stderr)
         return REFUSED
     except OSError as error:
-        print(f"{name}: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
+        # A full device does not name itself.
+        named = error.filename or " or ".join(str(path) for path in files.values() if path) or "output"
+        print(f"{name}: cannot write '{named}': {error.strerror or error}", file=sys.stderr)
         return REFUSED
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)

@@ -64,10 +64,17 @@ class DrapeTest:
     loading_time: float = 1.2
 
     def __attrs_post_init__(self) -> None:
-        if not 0.0 < self.plate_diameter < self.diameter:
+        if not 0.0 < self.plate_diameter < self.diameter < math.inf:
             raise LaboratoryError(
                 f"the plate's diameter is {self.plate_diameter:g} m; it must be between 0 and that of the specimen, "
                 f"{self.diameter:g} m"
+            )
+        # A held ring lies half a row beyond the edge. Two edges then remain on either side.
+        longest = min(self.plate_radius / 2.0, (self.radius - self.plate_radius) / (2.0 + 0.5 * ROW))
+        if not 0.0 < self.edge_length <= longest:
+            raise LaboratoryError(
+                f"the mesh's edges are {self.edge_length:g} m long; they must be above 0 and at most {longest:.3g} m "
+                f"for an overhang of {self.radius - self.plate_radius:g} m over a plate of {self.plate_diameter:g} m"
             )
 
     @property

@@ -17,6 +17,7 @@ import math
 import attrs
 import numpy as np
 
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.thread_limit import single_threaded
@@ -29,6 +30,8 @@ from cloth_sim_ros.simulation.simulation import Simulation
 RELAXATION_DRAG = 8.0
 #: Largest residual of an equilibrium.
 MAX_RESIDUAL = 1e-3
+#: Largest number of steps of all particles in a second of motion: about 10 minutes of one core.
+_MAX_WORK = 1e10
 #: Unit of accelerations [m/s^2].
 _GRAVITY = 9.81
 
@@ -71,7 +74,7 @@ def find_equilibrium(
         max_time: simulated time after which the relaxation ends [s].
 
     Raises:
-        LaboratoryError: for wind, in which the air would move the cloth.
+        LaboratoryError: for wind, in which the air would move the cloth, and for a cloth whose steps are too short.
         UnstableError: if the motion does not stay finite.
     """
     if any(scene.wind.velocity):
@@ -88,6 +91,7 @@ def find_equilibrium(
         state = State(start, cloth=state.cloth)
     with single_threaded():
         simulation = Simulation(relaxing, state)
+        _check_work(simulation)
         n_loading = math.ceil(loading_time * scene.rate)
         residual = math.inf
         for frame in range(math.ceil(max_time * scene.rate)):
@@ -105,6 +109,18 @@ def find_equilibrium(
         time=simulation.time,
         is_converged=residual < max_residual,
     )
+
+
+def _check_work(simulation: Simulation) -> None:
+    """Refuse a cloth whose relaxation would not end within hours."""
+    step = leapfrog_limit(*simulation.plan.spectral_bounds(simulation.state.x))
+    work = simulation.state.x.shape[1] / step if step > 0.0 else math.inf
+    if not work <= _MAX_WORK:
+        raise LaboratoryError(
+            f"steps of at most {step:.2g} s for {simulation.state.x.shape[1]} particles make {work:.2g} in a second of "
+            f"motion; at most {_MAX_WORK:g} are possible. Lower the fabric's moduli, raise its density, or take "
+            "longer edges"
+        )
 
 
 def out_of_balance(plan: Plan, state: State, t: float, drag: float) -> float:

@@ -23,6 +23,10 @@ from cloth_sim_ros.scene.build import (
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.thread_directions import along_grid, bending_moduli, stretch_moduli
 
+#: Fabrics whose threads are known to be valid, the last one first: their check builds all elements of the sheet.
+_ACCEPTED: list[tuple[Any, ...]] = []
+_MAX_ACCEPTED = 4
+
 
 def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return defaults that differ for raw springs, which have no surface for the air.
@@ -51,7 +55,10 @@ def check_sheet(scene: PhysicsScene) -> None:
         if path and path not in scene.files:
             raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
     sheet = scene.sheet
-    _check_threads(scene, sheet)
+    fabric = _fabric_of(scene)
+    if fabric not in _ACCEPTED:
+        _check_threads(scene, sheet)
+        _ACCEPTED[:] = [fabric, *_ACCEPTED[: _MAX_ACCEPTED - 1]]
     if isinstance(sheet, GridSheet):
         if scene.membrane.model == "springs":
             grid_threads_of(scene, sheet)
@@ -100,6 +107,12 @@ def check_sheet(scene: PhysicsScene) -> None:
             raise
         except ValueError as error:
             raise ParameterError(f"cloth.springs '{cloth.springs}': {error}") from error
+
+
+def _fabric_of(scene: PhysicsScene) -> tuple[Any, ...]:
+    """Return all values on which the elements of a sheet depend."""
+    contents = [scene.files.get(path) for path in (scene.cloth.mesh, scene.cloth.springs, scene.bending.rest_angles)]
+    return (scene.cloth, scene.material, scene.membrane, scene.bending, *contents)
 
 
 def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:

@@ -12,6 +12,8 @@ import attrs
 
 from cloth_sim_ros.scene import input_file
 
+#: First character of a text that some programs write.
+BYTE_ORDER_MARK = "\ufeff"
 #: Largest table [bytes].
 _MAX_BYTES = 1 << 28
 #: Columns of `ros2 topic echo --csv` for PoseStamped, which writes no header.
@@ -52,7 +54,7 @@ def read(path: str | Path) -> PoseTable:
         PoseTableError: naming the file, the line and the fault.
     """
     try:
-        lines = input_file.read_text(path, max_bytes=_MAX_BYTES).splitlines()
+        lines = input_file.read_text(path, max_bytes=_MAX_BYTES).removeprefix(BYTE_ORDER_MARK).splitlines()
     except (OSError, ValueError) as error:
         raise PoseTableError(f"cannot read the poses '{path}': {error}") from error
     try:
@@ -66,6 +68,7 @@ def _parse(lines: Sequence[str]) -> PoseTable:
     rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader if row]
     if not rows:
         raise PoseTableError("the table is empty")
+    check_separator(lines)
     columns = tuple(name.lower() for name in rows[0][1])
     if len(columns) == len(_ECHO) and columns[0].isdecimal():
         columns = _ECHO
@@ -108,6 +111,20 @@ def _parse(lines: Sequence[str]) -> PoseTable:
         closed=closed or None,
         frame_id=frame_id,
     )
+
+
+def check_separator(lines: Sequence[str]) -> None:
+    """Refuse a table whose columns are separated by something other than commas.
+
+    Raises:
+        PoseTableError: naming the separator and the remedy.
+    """
+    first = next(filter(str.strip, lines), "")
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in first and "," not in first:
+            raise PoseTableError(
+                f"its columns are separated by {name}; save it with commas, and with points in numbers"
+            )
 
 
 def _check_columns(columns: Sequence[str]) -> None:

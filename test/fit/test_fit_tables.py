@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from support.fit_samples import START, cloth, random_truth, write_bag
 
 from cloth_sim_ros import Scene
+from cloth_sim_ros.fit import tables
 from cloth_sim_ros.fit.bag import read_recording
 from cloth_sim_ros.fit.message_fields import indices_of, points_of, pose_of, split_topic
 from cloth_sim_ros.fit.parameters import FitError
-from cloth_sim_ros.fit.tables import parse_columns, read_clouds
+from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
+from cloth_sim_ros.fit.tables import parse_columns, read_clouds, read_track
 
 SCENE = Scene.from_parameters({"cloth.resolution": [2, 2], "cloth.anchors": [""], "grippers": ["left"]})
 POSES = "time,x,y,z\n100.0,0.5,0.0,1.5\n102.0,0.5,0.2,1.5\n"
@@ -53,6 +57,56 @@ def test_table_with_a_line_for_each_cloud(tmp_path: Path) -> None:
     np.testing.assert_equal(read_clouds(plain, 1)[1][0], [[1.0, 2.0, 3.0]])
 
 
+def test_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    clouds, poses = table(tmp_path, "\ufeff" + LONG), table(tmp_path, "\ufeff" + POSES, "left.csv")
+    assert read_clouds(clouds, 4)[0].tolist() == [100.0, 100.5]
+    assert read_track(poses, 100.0).times.tolist() == [0.0, 2.0]
+
+
+def test_poses_of_semicolons_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FitError, match="separated by semicolons"):
+        read_track(table(tmp_path, POSES.replace(",", ";")), 0.0)
+
+
+def test_point_beyond_any_room_is_refused() -> None:
+    poses = RecordedGripper(times=[0.0], positions=[[0.0] * 3], quaternions=[[0.0, 0.0, 0.0, 1.0]])
+    with pytest.raises(FitError, match=r"time 0 s has the coordinate 1e\+300 m; at most 1e\+06 m"):
+        Recording(name="far", times=[0.0], clouds=[[[0.0, -1e300, np.nan]]], grippers={"left": poses})
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("U4", "type <U4"), ("complex", "type complex128")])
+def test_arrays_of_no_real_numbers_are_refused(kind: str, reason: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "clouds.npz", times=np.zeros(1).astype(kind), points=np.zeros((1, 4, 3)))
+    with pytest.raises(FitError, match=reason):
+        read_clouds(tmp_path / "clouds.npz", 4)
+
+
+def test_array_larger_than_the_limit_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, "_MAX_BYTES", 2000)
+    np.savez_compressed(tmp_path / "clouds.npz", times=np.zeros(1000), points=np.zeros((1000, 4, 3)))
+    with pytest.raises(FitError, match="8128 bytes unpacked; at most 2000"):
+        read_clouds(tmp_path / "clouds.npz", 4)
+
+
+def test_array_of_a_false_shape_is_refused(tmp_path: Path) -> None:
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**13,)})
+    with zipfile.ZipFile(tmp_path / "clouds.npz", "w") as file:
+        file.writestr("times.npy", header.getvalue())
+    with pytest.raises(FitError, match=r"clouds\.npz"):
+        read_clouds(tmp_path / "clouds.npz", 4)
+
+
+def test_damaged_arrays_are_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "clouds.npz", "w") as file:
+        file.writestr("times.npy", b"")
+    with pytest.raises(FitError, match="the array 'times' is damaged"):
+        read_clouds(tmp_path / "clouds.npz", 4)
+    (tmp_path / "clouds.npz").write_text("no archive")
+    with pytest.raises(FitError, match=r"is no npz file: write it with numpy\.savez"):
+        read_clouds(tmp_path / "clouds.npz", 4)
+
+
 def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
     points = np.arange(24.0).reshape(2, 4, 3)
     points[0, 1] = np.nan
@@ -78,6 +132,7 @@ def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
         ("time,x0,y0,z0\n0,1,2,3\n0,1,2,3\n", "line 3: a cloud of time 0 s stands above"),
         ("time,x0,y0\n0,1,2\n", "there is a column 'x0', but no column 'z0'"),
         ("time,x7,y7,z7\n0,1,2,3\n", "there are columns of particle 7; there are 4"),
+        ("time;x0;y0;z0\n0;1,5;2;3\n", "its columns are separated by semicolons; save it with commas"),
     ],
 )
 def test_faulty_table_is_refused(tmp_path: Path, text: str, reason: str) -> None:

@@ -51,7 +51,10 @@ def test_lab_prints_and_writes_a_test(tmp_path: Path, capsys: pytest.CaptureFixt
         (["denim", "--set", "gravity"], "NAME=VALUE"),
         (["denim", "--set", "air.drag=1.0"], "no parameter of a fabric"),
         (["denim", "--plate", "0.4"], "plate"),
-        (["denim", "--edge-length", "0.1"], "edges"),
+        (["denim", "--edge-length", "0.1"], "at most 0.0247 m for an overhang of 0.06 m over a plate of 0.18 m"),
+        (["denim", "--diameter", "inf"], "that of the specimen, inf m"),
+        (["denim", "--set", "material.density=0.2", "--set", "material.density=0.3"], "twice; give it once"),
+        (["denim", *QUICK, "--set", "material.density=1.0e-9"], "Lower the fabric's moduli, raise its density"),
         (["denim", "--seed", "-1"], "--seed"),
         (["denim", "--json", "/nowhere/out.json"], "--json"),
     ],
@@ -64,6 +67,15 @@ def test_bad_input_is_refused(arguments: list[str], reason: str, capsys: pytest.
 def test_lab_refuses_too_few_cells(capsys: pytest.CaptureFixture[str]) -> None:
     assert lab_main.main(["tension", "denim", "--cells", "1"]) == 2
     assert "--cells" in capsys.readouterr().err
+
+
+def test_full_device_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no device that is always full")
+    assert lab_main.main(["tension", "denim", "--cells", "3", "--json", "/dev/full"]) == 2
+    output = capsys.readouterr()
+    assert "tensile modulus" in output.out
+    assert "cannot write '/dev/full'" in output.err
 
 
 def test_sample_is_read_from_scene_and_fabric_files(tmp_path: Path) -> None:

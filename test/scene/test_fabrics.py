@@ -7,6 +7,7 @@ import pytest
 
 from cloth_sim_ros.physics.model.sheets.material import grid_threads
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
+from cloth_sim_ros.scene import sheet_checks
 from cloth_sim_ros.scene.fabrics import fabrics, read_fabric, with_changes
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
@@ -212,3 +213,13 @@ def test_changed_fabric_replaces_the_former_one():
     expected = Scene.from_parameters({"material.fabric": "wool_twill", "material.damping": 0.2, "air.drag": 0.5})
     assert scene == expected, "denim's Poisson's ratio is gone"
     assert with_changes(before, {"air.drag": 0.5}, {}) == {**before, "air.drag": 0.5}
+
+
+def test_unchanged_threads_are_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene.from_parameters({"material.fabric": "denim", "material.density": 0.3071})
+    checks: list[float] = []
+    monkeypatch.setattr(sheet_checks, "membrane_forces", lambda scene, _: checks.append(scene.material.density))
+    scene.changed({"gravity": [0.0, 0.0, -5.0]})
+    assert not checks
+    scene.changed({"material.density": 0.3072})
+    assert checks == [0.3072]
