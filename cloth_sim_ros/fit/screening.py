@@ -21,6 +21,8 @@ MAX_SCALE, MIN_SCALE = 1.5, 0.1
 MAX_SHORTENING = 0.03
 #: Least number of lengths along rows or columns that are compared.
 _MIN_LENGTHS = 8
+#: Least ratio of a length's parts along two axes; diagonals mix their shortening.
+_SIDEWAYS = 1.5
 
 
 @attrs.frozen(kw_only=True)
@@ -119,8 +121,8 @@ def _without_shortened(
     return [indices[~(part < limits).any(axis=1)] for indices, part in zip(used, ratios, strict=True)]
 
 
-def length_ratios(cloud: Array, scene: Scene) -> tuple[float, float]:
-    """Return the lengths of a cloud over those of the rest shape, along and across its longer side.
+def length_ratios(cloud: Array, scene: Scene) -> tuple[float, ...]:
+    """Return the lengths of a cloud over those of the rest shape, near the two axes along which that is largest.
 
     NaN stands for a direction in which too few neighbours are visible.
 
@@ -132,10 +134,10 @@ def length_ratios(cloud: Array, scene: Scene) -> tuple[float, float]:
     edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     edges = edges[visible(cloud)[edges].all(axis=1)]
     vectors = rest[edges[:, 1]] - rest[edges[:, 0]]
-    axes = np.linalg.svd(rest - rest.mean(axis=0), full_matrices=False)[2][:2]
-    along, across = np.abs(vectors @ axes.T).T
+    axes = np.argsort(-np.ptp(rest, axis=0), kind="stable")[:2]
+    along, across = np.abs(vectors[:, axes]).T
     lengths = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1)
-    return _ratio(lengths, vectors, along > across), _ratio(lengths, vectors, along <= across)
+    return tuple(_ratio(lengths, vectors, one > _SIDEWAYS * other) for one, other in ((along, across), (across, along)))
 
 
 def _ratio(lengths: Array, vectors: Array, chosen: NDArray[np.bool_]) -> float:
