@@ -121,7 +121,7 @@ def _without_shortened(
     return [indices[~(part < limits).any(axis=1)] for indices, part in zip(used, ratios, strict=True)]
 
 
-def length_ratios(cloud: Array, scene: Scene) -> tuple[float, ...]:
+def length_ratios(cloud: Array, scene: Scene) -> tuple[float, float]:
     """Return the lengths of a cloud over those of the rest shape, near the two axes along which that is largest.
 
     NaN stands for a direction in which too few neighbours are visible.
@@ -130,14 +130,14 @@ def length_ratios(cloud: Array, scene: Scene) -> tuple[float, ...]:
         cloud: a point for each particle [m], NaN if it is hidden, shape (n, 3).
         scene: the cloth.
     """
-    rest, triangles = scene.sheet.positions(), scene.sheet.triangles()
+    positions, triangles = scene.sheet.positions(), scene.sheet.triangles()
     edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     edges = edges[visible(cloud)[edges].all(axis=1)]
-    vectors = rest[edges[:, 1]] - rest[edges[:, 0]]
-    axes = np.argsort(-np.ptp(rest, axis=0), kind="stable")[:2]
+    vectors = positions[edges[:, 1]] - positions[edges[:, 0]]
+    axes = np.argsort(-np.ptp(positions, axis=0), kind="stable")[:2]
     along, across = np.abs(vectors[:, axes]).T
     lengths = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1)
-    return tuple(_ratio(lengths, vectors, one > _SIDEWAYS * other) for one, other in ((along, across), (across, along)))
+    return _ratio(lengths, vectors, along > _SIDEWAYS * across), _ratio(lengths, vectors, across > _SIDEWAYS * along)
 
 
 def _ratio(lengths: Array, vectors: Array, chosen: NDArray[np.bool_]) -> float:

@@ -12,13 +12,13 @@ from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.scene.scene import Scene
 
 SCENE = Scene.from_parameters({"cloth.resolution": [8, 8], "cloth.anchors": [""], "grippers": ["left", "right"]})
-REST = SCENE.sheet.positions()
+FLAT = SCENE.sheet.positions()
 
 
 def bent(radius):
     """The sheet on a cylinder: lengths along it stay."""
-    x = REST.copy()
-    x[:, 0], x[:, 2] = radius * np.sin(REST[:, 0] / radius), radius * np.cos(REST[:, 0] / radius)
+    x = FLAT.copy()
+    x[:, 0], x[:, 2] = radius * np.sin(FLAT[:, 0] / radius), radius * np.cos(FLAT[:, 0] / radius)
     return x
 
 
@@ -33,18 +33,18 @@ def screened(clouds):
 
 
 def test_bending_keeps_the_lengths():
-    assert length_ratios(REST, SCENE) == pytest.approx((1.0, 1.0))
+    assert length_ratios(FLAT, SCENE) == pytest.approx((1.0, 1.0))
     assert length_ratios(bent(0.4), SCENE) == pytest.approx((1.0, 1.0), abs=0.01)
-    narrow = REST * [0.9, 1.0, 1.0]
-    assert sorted(length_ratios(narrow, SCENE)) == pytest.approx([0.9, 1.0], abs=0.01)
-    hidden = REST.copy()
+    compressed = FLAT * [0.9, 1.0, 1.0]
+    assert sorted(length_ratios(compressed, SCENE)) == pytest.approx([0.9, 1.0], abs=0.01)
+    hidden = FLAT.copy()
     hidden[8:] = np.nan
     assert np.isnan(length_ratios(hidden, SCENE)).any(), "a row shows no length across"
 
 
 def test_cloud_that_misses_a_part_is_left_out():
-    low = REST * [1.0, 0.9, 1.0]
-    result = screened([REST, REST, low, bent(0.4), bent(0.4)])
+    low = FLAT * [1.0, 0.9, 1.0]
+    result = screened([FLAT, FLAT, low, bent(0.4), bent(0.4)])
     assert result.used[0].tolist() == [0, 1, 3, 4]
     assert result.left_out().shortened == 1
     assert result.left_out().total == 1
@@ -52,13 +52,13 @@ def test_cloud_that_misses_a_part_is_left_out():
 
 def test_noise_and_stretch_shorten_no_cloud():
     rng = np.random.default_rng(3)
-    noisy = [REST + 0.005 * rng.standard_normal(REST.shape) for _ in range(8)]
-    stretched = [REST * [1.0, 1.0 + 0.02 * k, 1.0] for k in range(8)]
+    noisy = [FLAT + 0.005 * rng.standard_normal(FLAT.shape) for _ in range(8)]
+    stretched = [FLAT * [1.0, 1.0 + 0.02 * k, 1.0] for k in range(8)]
     assert screened(noisy).n_shortened == 0
     assert screened(stretched).n_shortened == 0
 
 
 def test_folds_of_all_clouds_are_the_usual_length():
     """Particles too far apart for the folds between them have short distances in every cloud."""
-    folded = [REST * [0.8, 1.0, 1.0]] * 6
-    assert screened([*folded, REST * [0.7, 1.0, 1.0]]).used[0].tolist() == list(range(6))
+    folded = [FLAT * [0.8, 1.0, 1.0]] * 6
+    assert screened([*folded, FLAT * [0.7, 1.0, 1.0]]).used[0].tolist() == list(range(6))

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded swings of a real cloth, read where they lie on the machine.
 
-The recordings are those of A. Luque Acera's thesis (2021, github.com/Alados5/tfm_matlab, session of 2021-07-05). They have no
-licence, so that nothing of them stands here. An arm swings a cloth of 0.3 m that hangs at two corners of a bar; a camera
-shows a mesh of 8 x 8 points at 9 Hz.
+The recordings are those of a thesis (2021, github.com/Alados5/tfm_matlab, session of 2021-07-05). They have no licence,
+so nothing of them stands here. An arm swings a cloth of 0.3 m that hangs by two corners. A camera shows a mesh of 8 x 8
+points at 9 Hz.
 """
 
 from __future__ import annotations
@@ -192,5 +192,5 @@ def _pooled(scores: Sequence[Score]) -> Score:
 def _check(report: Report, name: str, reached: Score, limits: tuple[float, float, float]) -> None:
     values = (1e3 * reached.median, 1e3 * reached.quantile_95, 1e3 * reached.rms)
     if any(value > limit for value, limit in zip(values, limits, strict=True)):
-        texts = [" / ".join(f"{number:.3g}" for number in numbers) for numbers in (values, limits)]
+        texts = [" / ".join(f"{distance:.3g}" for distance in distances) for distances in (values, limits)]
         report.fail(f"{name}: {texts[0]} mm instead of {texts[1]}")
