@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -100,6 +101,8 @@ def read_recording(
     index_field: str = "",
     columns: Mapping[str, str] | None = None,
     scale: float = 1.0,
+    camera_pose: Sequence[float] | None = None,
+    offsets: Mapping[str, Sequence[float]] | None = None,
 ) -> Recording:
     """Read clouds and gripper poses; times count from the first cloud.
 
@@ -114,16 +117,38 @@ def read_recording(
         index_field: field with the particles' numbers, beside FIELD of `topic`.
         columns: names in a table, see `tables.read_clouds`.
         scale: factor from the unit of tables to metres.
+        camera_pose: position [m] and quaternion x, y, z, w of the clouds' frame in that of the poses; the same frame by
+            default.
+        offsets: point that each gripper holds, in the frame of its poses [m]; their origin by default.
 
     Raises:
         FitError: if the recording is unusable; the text names cause and remedy.
     """
-    unknown = [name for name in poses or {} if name not in scene.gripper_names]
-    if unknown:
-        grippers = ", ".join(scene.gripper_names) or "none"
-        raise FitError(f"--pose names '{unknown[0]}'; the scene's grippers are {grippers}")
+    for option, names in (("--pose", poses or {}), ("--offset", offsets or {})):
+        unknown = [name for name in names if name not in scene.gripper_names]
+        if unknown:
+            grippers = ", ".join(scene.gripper_names) or "none"
+            raise FitError(f"{option} names '{unknown[0]}'; the scene's grippers are {grippers}")
+    recording = _read(paths, scene, topic, poses or {}, matched, index_field, columns, scale, camera_pose is not None)
+    moved = {name: recording.grippers[name].at(offset) for name, offset in (offsets or {}).items()}
+    recording = attrs.evolve(recording, grippers={**recording.grippers, **moved})
+    return recording if camera_pose is None else recording.seen_from(camera_pose)
+
+
+def _read(
+    paths: Sequence[Path],
+    scene: Scene,
+    topic: str | None,
+    poses: Mapping[str, str],
+    matched: bool,
+    index_field: str,
+    columns: Mapping[str, str] | None,
+    scale: float,
+    accepts_any_frame: bool,
+) -> Recording:
+    """Return a recording as its files hold it."""
     count = len(scene.initial_positions())
-    sources = {name: dict(poses or {}).get(name) for name in scene.gripper_names}
+    sources = {name: poses.get(name) for name in scene.gripper_names}
     if any(tables.is_table(path) for path in paths):
         if len(paths) > 1:
             raise FitError(f"{paths[1]}: a table is one recording; give its files one by one")
@@ -138,8 +163,9 @@ def read_recording(
         stamped = list(_read_fields(paths, cloud_name, field, index_field, count, matched))
     else:
         cloud_topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD]
+        frame = None if accepts_any_frame else scene.frame_id
         cloud_name = _select_topic(cloud_topics, cloud_name, "clouds (PointCloud2)", "--topic NAME")
-        stamped = [_read_cloud(data, time, scene, count, matched) for time, data in messages_by_topic[cloud_name][1]]
+        stamped = [_read_cloud(data, time, frame, count, matched) for time, data in messages_by_topic[cloud_name][1]]
     if not stamped:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_name}")
     stamped.sort(key=lambda entry: entry[0])
@@ -270,14 +296,16 @@ def _read_poses(
         yield message_fields.stamp_of(message, time), pose
 
 
-def _read_cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> tuple[int, NDArray[np.float64]]:
+def _read_cloud(
+    data: bytes, time: int, frame: str | None, count: int, matched: bool
+) -> tuple[int, NDArray[np.float64]]:
     """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if unseen."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
 
     cloud = decode_cloud(data)
-    if cloud.frame_id not in ("", scene.frame_id):
-        frames = f"in frame '{cloud.frame_id}', the scene in '{scene.frame_id}'"
-        raise FitError(f"a cloud is given {frames}; transform it, or set frame_id")
+    if frame is not None and cloud.frame_id not in ("", frame):
+        frames = f"in frame '{cloud.frame_id}', the scene in '{frame}'"
+        raise FitError(f"a cloud is given {frames}; give --camera-pose, transform it, or set frame_id")
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
         return cloud.stamp or time, points[visible(points)]

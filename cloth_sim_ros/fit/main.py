@@ -129,6 +129,10 @@ def _add_bag_options(parser: argparse.ArgumentParser) -> None:
         "/GRIPPER/target or /pose; {} stands for the recording's name without its ending"
     )
     real.add_argument("--pose", action="append", default=[], metavar="GRIPPER=TOPIC[:FIELD]", help=pose)
+    offset = "point that a gripper holds, in the frame of its poses [m]"
+    real.add_argument("--offset", action="append", default=[], metavar="GRIPPER=X,Y,Z", help=offset)
+    camera = "pose of the clouds' frame in that of the gripper poses: position [m] and quaternion"
+    real.add_argument("--camera-pose", metavar="X,Y,Z,QX,QY,QZ,QW", help=camera)
     columns = "names in a table, such as time=t,particle=id,x=X,y=Y,z=Z"
     real.add_argument("--columns", default="", metavar="NAME=COLUMN,...", help=columns)
     scale = "factor from the unit of tables to metres (default 1)"
@@ -219,6 +223,12 @@ def _prepare_real(
     if not 0.0 < scale < math.inf:
         raise FitError(f"--scale is {scale:g}; it must be above 0, such as 0.001 for millimetres")
     columns = parse_columns(options.columns)
+    offsets = {
+        name: _parse_numbers(text, 3, f"--offset {name}") for name, text in _pairs(options.offset, "--offset").items()
+    }
+    camera_pose = None
+    if options.camera_pose is not None:
+        camera_pose = _parse_numbers(options.camera_pose, 7, "--camera-pose")
     groups = [options.session] if options.parts else [[path] for path in options.session]
     recordings = []
     for group in groups:
@@ -231,6 +241,8 @@ def _prepare_real(
             index_field=options.index,
             columns=columns,
             scale=scale,
+            camera_pose=camera_pose,
+            offsets=offsets,
         )
         recordings.append(recording.since(options.begin or 0.0).part(until=options.until, every=options.every))
     if options.settle is not None:
@@ -252,6 +264,8 @@ def _read_sessions(options: argparse.Namespace, scene: Scene | None) -> list[Fit
         "--columns": bool(options.columns),
         "--scale": options.scale is not None,
         "--pose": bool(options.pose),
+        "--offset": bool(options.offset),
+        "--camera-pose": options.camera_pose is not None,
         "--held": bool(options.held),
         "--from": options.begin is not None,
         "--settle": options.settle is not None,
@@ -293,6 +307,18 @@ def _parse_number(text: str, option: str) -> float:
         return float(text)
     except ValueError:
         raise FitError(f"{option} is '{text}'; it must be a number") from None
+
+
+def _parse_numbers(text: str, count: int, option: str) -> list[float]:
+    from cloth_sim_ros.fit.parameters import FitError
+
+    parts = text.split(",")
+    if len(parts) != count:
+        raise FitError(f"{option} is '{text}'; give {count} numbers with commas between them")
+    numbers = [_parse_number(part, option) for part in parts]
+    if not all(map(math.isfinite, numbers)):
+        raise FitError(f"{option} is '{text}'; all numbers must be finite")
+    return numbers
 
 
 def _report(fit: Fit | MotionFit, options: argparse.Namespace) -> None:

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points and poses in messages of any type, by the names of their fields.
 
-A field is written as `markers[].pose.position`: attributes after dots, and `[]` for each element of an array.
+A field is written as `markers[].pose.position`: attributes after dots, and `[]` for each element of an array. Three
+arrays of coordinates are written as `x,y,z`.
 """
 
 from __future__ import annotations
@@ -41,8 +42,9 @@ def check_field(field: str) -> None:
     Raises:
         FitError: naming the form.
     """
-    if not _FIELD.fullmatch(field):
-        raise FitError(f"'{field}' is no field of a message; write it as markers[].pose.position")
+    parts = field.split(",")
+    if len(parts) not in (1, 3) or not all(map(_FIELD.fullmatch, parts)):
+        raise FitError(f"'{field}' is no field of a message; write it as markers[].pose.position, or three as x,y,z")
 
 
 def topic_messages(paths: Sequence[Path], topic: str) -> Iterator[tuple[int, Any]]:
@@ -109,11 +111,18 @@ def _elements(value: Any, field: str) -> list[Any]:
 def points_of(message: Any, field: str) -> Array:
     """Return the points of a field [m], shape (count, 3).
 
-    Its values are objects with x, y and z, or arrays of numbers, three for each point.
+    Its values are objects with x, y and z, or arrays of numbers, three for each point. Of three fields, each has one
+    coordinate of all points.
 
     Raises:
         FitError: if the field has no points.
     """
+    if "," in field:
+        columns = [_numbers(message, name) for name in field.split(",")]
+        if len({column.size for column in columns}) > 1:
+            sizes = ", ".join(str(column.size) for column in columns)
+            raise FitError(f"fields '{field}' hold {sizes} numbers; each point has one in every field")
+        return np.stack(columns, axis=1)
     rows: list[list[float]] = []
     for value in select(message, field):
         if all(hasattr(value, axis) for axis in "xyz"):
@@ -127,6 +136,14 @@ def points_of(message: Any, field: str) -> Array:
             raise FitError(f"field '{field}' holds {numbers.size} numbers; each point has three")
         rows += numbers.reshape(-1, 3).tolist()
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def _numbers(message: Any, field: str) -> Array:
+    """Return all numbers of a field, shape (count,)."""
+    try:
+        return np.concatenate([np.atleast_1d(np.asarray(v, dtype=np.float64)).ravel() for v in select(message, field)])
+    except (TypeError, ValueError) as error:
+        raise FitError(f"field '{field}' holds no numbers: {error}") from error
 
 
 def indices_of(message: Any, field: str) -> list[int]:

@@ -35,6 +35,7 @@ def _head(fit: MotionFit) -> Iterator[str]:
     reasons = {
         "without points": fit.left_out.empty,
         "of another scale": fit.left_out.wrong_scale,
+        "shortened along the sheet, so that the camera missed a part": fit.left_out.shortened,
         "of another object": fit.left_out.other_object,
         "after the motion becomes unpredictable": fit.left_out.unpredictable,
     }

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 
 #: Longest accepted recording [s].
 MAX_DURATION = 3600.0
@@ -48,6 +49,15 @@ class RecordedGripper:
         if not n or self.positions.shape != (n, 3) or self.quaternions.shape != (n, 4):
             shapes = f"{self.times.shape}, {self.positions.shape} and {self.quaternions.shape}"
             raise FitError(f"times, positions and quaternions have shapes {shapes}; they must be (n,), (n, 3), (n, 4)")
+
+    def at(self, offset: ArrayLike) -> RecordedGripper:
+        """Return the track of a point that is fixed to the gripper.
+
+        Args:
+            offset: the point in the frame of the recorded poses [m], shape (3,).
+        """
+        turned = np.array([rotation_matrix(q) for q in self.quaternions]) @ _to_array(offset)
+        return attrs.evolve(self, positions=self.positions + turned)
 
     def is_closed(self, time: float) -> bool:
         """Return True if it holds particles at a time [s]: closed by its last grasp, or without any grasp."""
@@ -113,6 +123,25 @@ class Recording:
                     f"{track.times.min():.3f} to {track.times.max():.3f} s and {self.times[0]:.3f} to "
                     f"{self.times[-1]:.3f} s; stamp both by one clock"
                 )
+
+    def seen_from(self, pose: ArrayLike) -> Recording:
+        """Return the recording with clouds in the grippers' frame.
+
+        Args:
+            pose: position [m] and quaternion x, y, z, w of the clouds' frame in the grippers' frame, shape (7,).
+
+        Raises:
+            FitError: unless they are finite, with a quaternion other than zero.
+        """
+        numbers = _to_array(pose)
+        size = float(np.sqrt(np.square(numbers[3:]).sum())) if numbers.shape == (7,) else 0.0
+        if not (np.isfinite(numbers).all() and size > 0.0):
+            raise FitError(
+                f"the camera's pose is {numbers.tolist()}; it needs seven finite numbers, a position and a "
+                "quaternion x, y, z, w"
+            )
+        rotation = np.array(rotation_matrix(numbers[3:] / size))
+        return attrs.evolve(self, clouds=[cloud @ rotation.T + numbers[:3] for cloud in self.clouds])
 
     def since(self, time: float) -> Recording:
         """Return the recording from the first cloud at or after a time, relative to the first one [s].

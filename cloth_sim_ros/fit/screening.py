@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Test of clouds before a fit: a cloud of another scale, or of another object, can't be the cloth."""
+"""Test of clouds before a fit: a cloud of another scale can't be the cloth, and a shortened one misses a part of it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recording import FitRecording, visible
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.scene.scene import Scene
 
 #: Limits of a cloud's size over that of the rest shape. A sheet hardly stretches; a crumpled one is smaller.
 MAX_SCALE, MIN_SCALE = 1.5, 0.1
+#: Largest shortening of a cloud along the sheet that is no fault of the camera. A sheet bends, but hardly shortens.
+MAX_SHORTENING = 0.03
+#: Least number of lengths along rows or columns that are compared.
+_MIN_LENGTHS = 8
+#: Least ratio of a length's parts along two axes; diagonals mix their shortening.
+_SIDEWAYS = 1.5
 
 
 @attrs.frozen(kw_only=True)
@@ -26,6 +33,8 @@ class LeftOut:
     empty: int = 0
     #: Clouds whose size is not the cloth's.
     wrong_scale: int = 0
+    #: Clouds whose points stand closer along the sheet than the cloth's.
+    shortened: int = 0
     #: Clouds far from the simulated cloth.
     other_object: int = 0
     #: Clouds after the motion became unpredictable.
@@ -34,7 +43,7 @@ class LeftOut:
     @property
     def total(self) -> int:
         """Number of all of them."""
-        return self.empty + self.wrong_scale + self.other_object + self.unpredictable
+        return self.empty + self.wrong_scale + self.shortened + self.other_object + self.unpredictable
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -45,14 +54,17 @@ class Screened:
     used: tuple[NDArray[np.int64], ...]
     n_empty: int
     n_wrong_scale: int
+    n_shortened: int
 
     def left_out(self) -> LeftOut:
         """Return the numbers of other clouds."""
-        return LeftOut(empty=self.n_empty, wrong_scale=self.n_wrong_scale)
+        return LeftOut(empty=self.n_empty, wrong_scale=self.n_wrong_scale, shortened=self.n_shortened)
 
 
 def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
     """Return the clouds that have points and the size of the cloth.
+
+    A camera that loses a part of a real cloth spreads the points over the rest of it, so that they stand too close.
 
     Raises:
         FitError: if no cloud has the size of the cloth; the text names the ratio.
@@ -84,7 +96,63 @@ def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
             f"none of {n_wrong} clouds can be the scene's cloth: they are {ratio:.3g} times as large{unit} Give points "
             "in metres, and the cloth's size in the scene"
         )
-    return Screened(used=tuple(used), n_empty=n_empty, n_wrong_scale=n_wrong)
+    n_before = sum(len(indices) for indices in used)
+    used = _without_shortened(recordings, used)
+    n_shortened = n_before - sum(len(indices) for indices in used)
+    return Screened(used=tuple(used), n_empty=n_empty, n_wrong_scale=n_wrong, n_shortened=n_shortened)
+
+
+def _without_shortened(
+    recordings: Sequence[FitRecording], used: Sequence[NDArray[np.int64]]
+) -> list[NDArray[np.int64]]:
+    """Return the used clouds whose lengths along the sheet are those of most clouds, or of the rest shape."""
+    scene = recordings[0].scene
+    n_particles = len(scene.initial_positions())
+    if not all(
+        r.matched and r.n_settle_frames > 0 and all(len(c) == n_particles for c in r.clouds) for r in recordings
+    ):
+        return list(used)
+    ratios = [
+        np.array([length_ratios(r.clouds[k], scene) for k in indices]).reshape(-1, 2)
+        for r, indices in zip(recordings, used, strict=True)
+    ]
+    together = np.concatenate(ratios)
+    limits = np.array([(1.0 - MAX_SHORTENING) * min(_usual(column[np.isfinite(column)]), 1.0) for column in together.T])
+    return [indices[~(part < limits).any(axis=1)] for indices, part in zip(used, ratios, strict=True)]
+
+
+def length_ratios(cloud: Array, scene: Scene) -> tuple[float, float]:
+    """Return the lengths of a cloud over those of the rest shape, near the two axes along which that is largest.
+
+    NaN stands for a direction in which too few neighbours are visible.
+
+    Args:
+        cloud: a point for each particle [m], NaN if it is hidden, shape (n, 3).
+        scene: the cloth.
+    """
+    positions, triangles = scene.sheet.positions(), scene.sheet.triangles()
+    edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = edges[visible(cloud)[edges].all(axis=1)]
+    vectors = positions[edges[:, 1]] - positions[edges[:, 0]]
+    axes = np.argsort(-np.ptp(positions, axis=0), kind="stable")[:2]
+    along, across = np.abs(vectors[:, axes]).T
+    lengths = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1)
+    return _ratio(lengths, vectors, along > _SIDEWAYS * across), _ratio(lengths, vectors, across > _SIDEWAYS * along)
+
+
+def _ratio(lengths: Array, vectors: Array, chosen: NDArray[np.bool_]) -> float:
+    if chosen.sum() < _MIN_LENGTHS:
+        return float("nan")
+    return float(lengths[chosen].sum() / np.linalg.norm(vectors[chosen], axis=1).sum())
+
+
+def _usual(ratios: Array) -> float:
+    """Return the centre of the shortest interval that holds half of some ratios; infinite for none."""
+    if not ratios.size:
+        return float("inf")
+    ordered, half = np.sort(ratios), ratios.size // 2
+    first = int(np.argmin(ordered[half:] - ordered[: ratios.size - half]))
+    return float(0.5 * (ordered[first] + ordered[first + half]))
 
 
 def scale(points: Array, rest_shape: Array) -> float | None:

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from pathlib import Path
 from typing import Any
 
+import attrs
 import numpy as np
 import pytest
 
@@ -257,6 +259,41 @@ def test_forms_of_points_and_poses() -> None:
         points_of(array, "data")
     with pytest.raises(FitError, match="no points"):
         points_of(types["std_msgs/msg/String"](data="x"), "data")
+
+
+def test_coordinates_may_stand_in_three_arrays() -> None:
+    types = get_typestore(Stores.ROS2_JAZZY).types
+    names = {"name": [], "position": np.array([1.0, 2.0]), "velocity": np.array([3.0, 4.0]), "effort": np.array([5.0])}
+    message = types["sensor_msgs/msg/JointState"](header=None, **names)
+    assert points_of(message, "position,velocity,position").tolist() == [[1.0, 3.0, 1.0], [2.0, 4.0, 2.0]]
+    assert split_topic("/mesh:x,y,z") == ("/mesh", "x,y,z")
+    with pytest.raises(FitError, match="hold 2, 2, 1 numbers; each point has one in every field"):
+        points_of(message, "position,velocity,effort")
+    with pytest.raises(FitError, match="is no field of a message"):
+        split_topic("/mesh:x,y")
+
+
+def test_camera_pose_and_offset_move_clouds_and_grippers(tmp_path: Path) -> None:
+    """A quarter turn about z takes x to y."""
+    clouds, poses = table(tmp_path, LONG), {"left": str(table(tmp_path, POSES, "left.csv"))}
+    quarter = [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]
+    plain = read_recording([clouds], SCENE, poses=poses)
+    moved = read_recording(
+        [clouds], SCENE, poses=poses, camera_pose=[1.0, 0.0, 0.0, *quarter], offsets={"left": [0.0, 0.0, -0.1]}
+    )
+    x, y, z = plain.clouds[0].T
+    np.testing.assert_allclose(moved.clouds[0], np.stack([1.0 - y, x, z], axis=1), atol=1e-15)
+    np.testing.assert_allclose(
+        moved.grippers["left"].positions, plain.grippers["left"].positions - [0.0, 0.0, 0.1], atol=1e-15
+    )
+    turned = attrs.evolve(plain.grippers["left"], quaternions=[quarter] * len(plain.grippers["left"].times))
+    np.testing.assert_allclose(
+        turned.at([0.2, 0.0, 0.0]).positions - turned.positions, [[0.0, 0.2, 0.0]] * 2, atol=1e-15
+    )
+    with pytest.raises(FitError, match="--offset names 'right'; the scene's grippers are left"):
+        read_recording([clouds], SCENE, poses=poses, offsets={"right": [0.0, 0.0, 0.0]})
+    with pytest.raises(FitError, match="it needs seven finite numbers"):
+        read_recording([clouds], SCENE, poses=poses, camera_pose=[0.0] * 7)
 
 
 def test_bag_and_tables_give_the_same_recording(tmp_path: Path) -> None:

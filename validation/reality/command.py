@@ -10,7 +10,7 @@ from pathlib import Path
 from validation.report import Report
 
 #: Names of the parts.
-PARTS = ("swings",)
+PARTS = ("swings", "recorded")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,11 +24,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     swings.add_argument("--first", type=int, default=0, help="seed of the first fit (default: %(default)s)")
     record = "file of JSON lines: finished fits are read from it, new ones appended"
     swings.add_argument("--record", type=Path, metavar="FILE", help=record)
+    recorded = parser.add_argument_group("recorded: swings of a real cloth, which lie on this machine")
+    folder = "folder of the recordings; without it the part is skipped"
+    recorded.add_argument("--folder", type=Path, help=folder)
+    fitted_on = "motions that the parameters are fitted on (default: %(default)s)"
+    recorded.add_argument("--fitted-on", type=int, default=5, metavar="N", help=fitted_on)
     swings.add_argument("--workers", type=int, help="processes (default: one per core)")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Run a part."""
-    from validation.reality import swings
+    from validation.reality import recorded_swings, swings
 
-    return swings.run(options)
+    return (recorded_swings if options.part == "recorded" else swings).run(options)
