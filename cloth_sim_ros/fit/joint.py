@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.alignment import AlignmentModel, alignment_derivatives, cloud_residuals
 from cloth_sim_ros.fit.noise import NoiseModel, initial_noise, smooth_modes
-from cloth_sim_ros.fit.parameters import FitError, FitParameter
+from cloth_sim_ros.fit.parameters import FitError, FitParameter, acts_at_rest
 from cloth_sim_ros.fit.recording import FitRecording, visible
 from cloth_sim_ros.fit.solver import MAX_LOG_STEP, PRIOR_SIGMA
 from cloth_sim_ros.fit.trajectory import SimulatedMotion, TrajectoryPool, trajectory_run
@@ -107,7 +107,12 @@ class JointProblem:
         return np.clip(theta, lower, upper)
 
     def simulate(
-        self, jobs: Sequence[tuple[int, Array]], tolerance: float, *, rest_states: Sequence[State] | None = None
+        self,
+        jobs: Sequence[tuple[int, Array]],
+        tolerance: float,
+        *,
+        rest_states: Sequence[State | None] | None = None,
+        are_at_rest: Sequence[bool] | None = None,
     ) -> list[SimulatedMotion | str]:
         """Return the motions of pairs of a recording's index and logarithms of the parameters.
 
@@ -115,8 +120,10 @@ class JointProblem:
             jobs: the pairs.
             tolerance: tolerance of the simulations [m].
             rest_states: rest state of each pair from which the cloth settles; default: the recordings' `rest_states`.
+            are_at_rest: for each pair, true if the rest state is that of its parameters, so that nothing settles.
         """
         states = rest_states if rest_states is not None else [self.rest_states.get(index) for index, _ in jobs]
+        are_at_rest = [False] * len(jobs) if are_at_rest is None else are_at_rest
         runs = [
             trajectory_run(
                 self.recordings[index],
@@ -125,8 +132,9 @@ class JointProblem:
                 tolerance=tolerance,
                 offsets=self.offsets,
                 rest_state=state,
+                is_at_rest=is_at_rest,
             )
-            for (index, theta), state in zip(jobs, states, strict=True)
+            for (index, theta), state, is_at_rest in zip(jobs, states, are_at_rest, strict=True)
         ]
         results = self.pool.simulate(runs)
         self.on_progress(len(runs))
@@ -167,13 +175,19 @@ class JointProblem:
         """
         signs = (1.0, -1.0) if central else (1.0,)
         p = len(steps)
-        jobs = [
-            (k, self.clamp(point.theta + sign * steps[i] * np.eye(p)[i]))
-            for k in selected
-            for i in range(p)
-            for sign in signs
+        places = [(row, i, sign) for row in range(len(selected)) for i in range(p) for sign in signs]
+        jobs = [(selected[row], self.clamp(point.theta + sign * steps[i] * np.eye(p)[i])) for row, i, sign in places]
+        # Parameters of the motion alone do not change the rest state: such runs begin where the point's run began.
+        begins = [point.trajectories[row].rest_state for row, _, _ in places]
+        are_at_rest = [
+            begin is not None and not acts_at_rest(self.recordings[selected[row]].scene, self.parameters[i])
+            for begin, (row, i, _) in zip(begins, places, strict=True)
         ]
-        results = self.simulate(jobs, tolerance)
+        states = [
+            begin if is_at_rest else self.rest_states.get(k)
+            for begin, is_at_rest, (k, _) in zip(begins, are_at_rest, jobs, strict=True)
+        ]
+        results = self.simulate(jobs, tolerance, rest_states=states, are_at_rest=are_at_rest)
         slopes, curvatures = list[list[list[Array]]](), list[list[list[Array]]]()
         at = 0
         for row, k in enumerate(selected):
