@@ -14,6 +14,7 @@ import pytest
 from support.motion_samples import CAMERA, HELD, TRUTH, record_motions, scene_of
 
 from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis
+from cloth_sim_ros.fit.main import _grasped_of_groups
 from cloth_sim_ros.fit.motions import MotionFit, held_out_indices
 from cloth_sim_ros.fit.motions_files import write_json
 from cloth_sim_ros.fit.motions_text import describe_choice, describe_motions
@@ -84,6 +85,24 @@ def test_few_motions_get_no_interval(recordings: list[Recording]) -> None:
     assert not fit.estimates[0].has_interval
     assert not fit.all_identified
     assert "No intervals: fewer than 5 motions" in describe_motions(fit)
+
+
+def test_particles_are_named_for_each_recording(recordings: list[Recording]) -> None:
+    fit = fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=[NAMED, {"left": "0", "right": "3"}], **QUICK)
+    held = [{entry.gripper: entry.particles for entry in recording.grasped} for recording in fit.recordings]
+    assert held == [{"left": (0,), "right": (4,)}, {"left": (0,), "right": (3,)}]
+    assert f"Held particles of {fit.recordings[1].name}: left 0, right 3." in describe_motions(fit)
+    with pytest.raises(FitError, match="no particles of gripper 'right'"):
+        fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=[NAMED, {"left": "0"}], **QUICK)
+
+
+def test_held_particles_of_files_are_told_apart() -> None:
+    paths = [Path("a/swing_1.mcap"), Path("a/swing_2.mcap")]
+    assert _grasped_of_groups({"left": "0"}, paths) == {"left": "0"}
+    expected = [{"left": "0"}, {"left": "0", "right": "4"}]
+    assert _grasped_of_groups({"left": "0", "swing_2:right": "4"}, paths) == expected
+    with pytest.raises(FitError, match="names 0 files"):
+        _grasped_of_groups({"swing_3:right": "4"}, paths)
 
 
 def test_motion_chooses_right_corners(recordings: list[Recording]) -> None:
