@@ -440,11 +440,20 @@ def _line_search(
     return None
 
 
-def linear_clouds(problem: JointProblem, solution: JointSolution, selected: Sequence[int], sigma: float) -> list[int]:
+def linear_clouds(
+    problem: JointProblem, solution: JointSolution, selected: Sequence[int], sigma: float, reach: Array
+) -> list[int]:
     """Return, for each selected recording, the number of used clouds before the first unpredictable one.
 
-    A cloud is unpredictable if its residuals are nonlinear within a difference step, beyond the noise. Later clouds of
-    that recording are so too.
+    A cloud is unpredictable if its residuals are nonlinear within the uncertainty of a parameter, beyond the noise.
+    Later clouds of that recording are so too.
+
+    Args:
+        problem: recordings and unknowns.
+        solution: result with central differences.
+        selected: indices of its recordings.
+        sigma: deviation of a coordinate [m].
+        reach: uncertainty of each logarithm, shape (p,).
     """
     from cloth_sim_ros.fit.windows import MAX_CURVATURE
 
@@ -455,8 +464,9 @@ def linear_clouds(problem: JointProblem, solution: JointSolution, selected: Sequ
         for c in range(n_linear):
             is_curved = False
             for i, step in enumerate(solution.derivatives.steps):
-                curvature = float(np.square(curvatures[i][c]).sum())
-                line = float(np.square(slopes[i][c] * step).sum())
+                # Second differences grow with the square of the step.
+                curvature = float(np.square(curvatures[i][c]).sum()) * (reach[i] / step) ** 4
+                line = float(np.square(slopes[i][c] * reach[i]).sum())
                 is_curved |= curvature > MAX_CURVATURE**2 * max(line, sigma**2 * slopes[i][c].size)
             if is_curved:
                 n_linear = c

@@ -369,7 +369,7 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
         sigmas = noise_covariance(problem, solution, inside).deviations
         steps = np.clip(sigmas, _MIN_STEP, _MAX_STEP)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
-        counts = linear_clouds(problem, solution, inside, median_deviation(residuals))
+        counts = linear_clouds(problem, solution, inside, median_deviation(residuals), steps)
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))
         moved = np.abs(point.theta - begin)
         is_stale = np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP))
