@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.alignment import AlignmentModel, alignment_derivatives, cloud_residuals
 from cloth_sim_ros.fit.noise import NoiseModel, initial_noise, smooth_modes
-from cloth_sim_ros.fit.parameters import FitError, FitParameter
+from cloth_sim_ros.fit.parameters import FitError, FitParameter, acts_at_rest
 from cloth_sim_ros.fit.recording import FitRecording, visible
 from cloth_sim_ros.fit.solver import MAX_LOG_STEP, PRIOR_SIGMA
 from cloth_sim_ros.fit.trajectory import SimulatedMotion, TrajectoryPool, trajectory_run
@@ -26,6 +26,8 @@ from cloth_sim_ros.physics.state.state import State
 _NOISE_STEPS = 4
 #: Largest number of reductions of a step that does not lower the loss, and the factor of each.
 _MAX_REDUCTIONS, _REDUCTION = 4, 0.35
+#: Least step of the logarithms that corrects the derivatives.
+_MIN_UPDATE = 0.02
 #: Converged step [standard deviations], and of a logarithm.
 _CONVERGED_FRACTION, _CONVERGED_STEP = 0.1, 1e-5
 
@@ -53,6 +55,14 @@ class Derivatives:
     curvatures: list[list[list[Array]]]
     #: Difference steps, shape (p,).
     steps: Array
+
+    def first_clouds(self, counts: Sequence[int]) -> Derivatives:
+        """Return the derivatives of the first clouds of each recording."""
+        slopes, curvatures = (
+            [[by_cloud[:n] for by_cloud in motion] for motion, n in zip(parts, counts, strict=True)]
+            for parts in (self.slopes, self.curvatures)
+        )
+        return attrs.evolve(self, slopes=slopes, curvatures=curvatures)
 
 
 @attrs.define(kw_only=True, eq=False)
@@ -107,7 +117,12 @@ class JointProblem:
         return np.clip(theta, lower, upper)
 
     def simulate(
-        self, jobs: Sequence[tuple[int, Array]], tolerance: float, *, rest_states: Sequence[State] | None = None
+        self,
+        jobs: Sequence[tuple[int, Array]],
+        tolerance: float,
+        *,
+        rest_states: Sequence[State | None] | None = None,
+        are_at_rest: Sequence[bool] | None = None,
     ) -> list[SimulatedMotion | str]:
         """Return the motions of pairs of a recording's index and logarithms of the parameters.
 
@@ -115,8 +130,10 @@ class JointProblem:
             jobs: the pairs.
             tolerance: tolerance of the simulations [m].
             rest_states: rest state of each pair from which the cloth settles; default: the recordings' `rest_states`.
+            are_at_rest: for each pair, true if the rest state is that of its parameters, so that nothing settles.
         """
         states = rest_states if rest_states is not None else [self.rest_states.get(index) for index, _ in jobs]
+        are_at_rest = [False] * len(jobs) if are_at_rest is None else are_at_rest
         runs = [
             trajectory_run(
                 self.recordings[index],
@@ -125,8 +142,9 @@ class JointProblem:
                 tolerance=tolerance,
                 offsets=self.offsets,
                 rest_state=state,
+                is_at_rest=is_at_rest,
             )
-            for (index, theta), state in zip(jobs, states, strict=True)
+            for (index, theta), state, is_at_rest in zip(jobs, states, are_at_rest, strict=True)
         ]
         results = self.pool.simulate(runs)
         self.on_progress(len(runs))
@@ -167,13 +185,19 @@ class JointProblem:
         """
         signs = (1.0, -1.0) if central else (1.0,)
         p = len(steps)
-        jobs = [
-            (k, self.clamp(point.theta + sign * steps[i] * np.eye(p)[i]))
-            for k in selected
-            for i in range(p)
-            for sign in signs
+        places = [(row, i, sign) for row in range(len(selected)) for i in range(p) for sign in signs]
+        jobs = [(selected[row], self.clamp(point.theta + sign * steps[i] * np.eye(p)[i])) for row, i, sign in places]
+        # Parameters of the motion alone do not change the rest state: such runs begin where the point's run began.
+        begins = [point.trajectories[row].rest_state for row, _, _ in places]
+        are_at_rest = [
+            begin is not None and not acts_at_rest(self.recordings[selected[row]].scene, self.parameters[i])
+            for begin, (row, i, _) in zip(begins, places, strict=True)
         ]
-        results = self.simulate(jobs, tolerance)
+        states = [
+            begin if is_at_rest else self.rest_states.get(k)
+            for begin, is_at_rest, (k, _) in zip(begins, are_at_rest, jobs, strict=True)
+        ]
+        results = self.simulate(jobs, tolerance, rest_states=states, are_at_rest=are_at_rest)
         slopes, curvatures = list[list[list[Array]]](), list[list[list[Array]]]()
         at = 0
         for row, k in enumerate(selected):
@@ -301,21 +325,25 @@ def solve_joint(
     max_iterations: int,
     steps: Array,
     central: bool = False,
-    chord: bool = False,
+    derivatives: Derivatives | None = None,
+    estimates_noise: bool = False,
     converged_fraction: float = _CONVERGED_FRACTION,
 ) -> JointSolution:
     """Return the minimum of the loss near a point, by Gauss-Newton steps with a line search.
+
+    All steps use the derivatives of the start, by differences, corrected by each long step.
 
     Args:
         problem: recordings and unknowns.
         point: start of the search.
         selected: indices of the compared recordings.
-        noise: noise model; it is estimated again in each iteration.
+        noise: noise model; with `estimates_noise` it is estimated again in each iteration.
         tolerance: tolerance of the simulations [m].
         max_iterations: largest number of steps.
         steps: difference steps of the logarithms, shape (p,).
         central: true for central differences.
-        chord: true to use the derivatives of the start in all iterations.
+        derivatives: derivatives near the start, in place of differences.
+        estimates_noise: true to estimate the noise model in each iteration.
         converged_fraction: step that counts as converged [standard deviations].
 
     Raises:
@@ -325,10 +353,11 @@ def solve_joint(
     problem.settle_again(point, selected)
     start = problem.evaluate(point.theta, point.eta, selected, tolerance)
     point = point if isinstance(start, str) else start
-    derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
+    if derivatives is None:
+        derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
     p, is_converged = len(point.theta), False
     for iteration in range(max_iterations + 1):
-        if not chord:
+        if estimates_noise:
             noise = problem.update_noise(noise, point, selected)
         equations = problem.normal_equations(point, derivatives, selected, noise)
         prior_information, prior_gradient = problem.prior(point)
@@ -343,12 +372,39 @@ def solve_joint(
         moved = _line_search(problem, point, selected, noise, tolerance, step)
         if moved is None:
             break
+        derivatives = _updated_derivatives(problem, derivatives, point, moved, selected)
         point = moved
-        if not chord:
-            derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
     return JointSolution(
         point=point, derivatives=derivatives, noise=noise, equations=equations, is_converged=is_converged
     )
+
+
+def _updated_derivatives(
+    problem: JointProblem, derivatives: Derivatives, before: Point, after: Point, selected: Sequence[int]
+) -> Derivatives:
+    """Return derivatives that give the change of the residuals along a step exactly (Broyden 1965).
+
+    After a short step they stay as they are, because the error of the simulations would dominate.
+    """
+    step = after.theta - before.theta
+    square = float(step @ step)
+    if square < _MIN_UPDATE**2:
+        return derivatives
+    slopes = []
+    for row, k in enumerate(selected):
+        # The alignment's part of the change is known without simulations.
+        moved = problem.residuals(k, after.trajectories[row], before.eta)
+        errors = [
+            b - a - sum(s * by_cloud[c] for s, by_cloud in zip(step, derivatives.slopes[row], strict=True))
+            for c, (a, b) in enumerate(zip(before.residuals[row], moved, strict=True))
+        ]
+        slopes.append(
+            [
+                [slope + s / square * error for slope, error in zip(by_cloud, errors, strict=True)]
+                for s, by_cloud in zip(step, derivatives.slopes[row], strict=True)
+            ]
+        )
+    return attrs.evolve(derivatives, slopes=slopes)
 
 
 def _limited_step(matrix: Array, gradient: Array, p: int) -> Array:
@@ -384,11 +440,20 @@ def _line_search(
     return None
 
 
-def linear_clouds(problem: JointProblem, solution: JointSolution, selected: Sequence[int], sigma: float) -> list[int]:
+def linear_clouds(
+    problem: JointProblem, solution: JointSolution, selected: Sequence[int], sigma: float, reach: Array
+) -> list[int]:
     """Return, for each selected recording, the number of used clouds before the first unpredictable one.
 
-    A cloud is unpredictable if its residuals are nonlinear within a difference step, beyond the noise. Later clouds of
-    that recording are so too.
+    A cloud is unpredictable if its residuals are nonlinear within the uncertainty of a parameter, beyond the noise.
+    Later clouds of that recording are so too.
+
+    Args:
+        problem: recordings and unknowns.
+        solution: result with central differences.
+        selected: indices of its recordings.
+        sigma: deviation of a coordinate [m].
+        reach: uncertainty of each logarithm, shape (p,).
     """
     from cloth_sim_ros.fit.windows import MAX_CURVATURE
 
@@ -399,8 +464,9 @@ def linear_clouds(problem: JointProblem, solution: JointSolution, selected: Sequ
         for c in range(n_linear):
             is_curved = False
             for i, step in enumerate(solution.derivatives.steps):
-                curvature = float(np.square(curvatures[i][c]).sum())
-                line = float(np.square(slopes[i][c] * step).sum())
+                # Second differences grow with the square of the step.
+                curvature = float(np.square(curvatures[i][c]).sum()) * (reach[i] / step) ** 4
+                line = float(np.square(slopes[i][c] * reach[i]).sum())
                 is_curved |= curvature > MAX_CURVATURE**2 * max(line, sigma**2 * slopes[i][c].size)
             if is_curved:
                 n_linear = c

@@ -139,9 +139,10 @@ def _add_bag_options(parser: argparse.ArgumentParser) -> None:
     real.add_argument("--scale", type=float, metavar="M", help=scale)
     held = (
         "particles that a gripper holds at the first cloud: indices (12,13), a corner (top_left) or an edge; default: "
-        "the particle nearest to it in the clouds, with those within gripper.radius"
+        "the particle nearest to it in the clouds, with those within "
+        "gripper.radius. FILE: is for one of several files; then name all grippers"
     )
-    real.add_argument("--held", action="append", default=[], metavar="GRIPPER=PARTICLES", help=held)
+    real.add_argument("--held", action="append", default=[], metavar="[FILE:]GRIPPER=PARTICLES", help=held)
     begin = "omit clouds before this time from the first one [s]; the cloth must hang at rest at the first used one"
     real.add_argument("--from", dest="begin", type=float, metavar="S", help=begin)
     settle = "settling time of the simulated cloth before the first cloud [s] (default 4)"
@@ -218,7 +219,7 @@ def _prepare_real(
     for path in options.session[1:]:
         # `is_session` has checked the first file. Opening a pipe would wait for its writer.
         open_file(path).close()
-    poses, grasped = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
+    poses, held = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
     scale = 1.0 if options.scale is None else options.scale
     if not 0.0 < scale < math.inf:
         raise FitError(f"--scale is {scale:g}; it must be above 0, such as 0.001 for millimetres")
@@ -230,6 +231,7 @@ def _prepare_real(
     if options.camera_pose is not None:
         camera_pose = _parse_numbers(options.camera_pose, 7, "--camera-pose")
     groups = [options.session] if options.parts else [[path] for path in options.session]
+    grasped = _grasped_of_groups(held, [group[0] for group in groups])
     recordings = []
     for group in groups:
         recording = read_recording(
@@ -248,6 +250,25 @@ def _prepare_real(
     if options.settle is not None:
         settings["settle_time"] = options.settle
     return lambda progress: fit_real(recordings, scene, names, **settings, grasped=grasped, on_progress=progress)
+
+
+def _grasped_of_groups(held: dict[str, str], paths: Sequence[Path]) -> dict[str, str] | list[dict[str, str]]:
+    """Return grasped particles by gripper, for each file if an entry names one, such as ``swing_2:left``."""
+    from cloth_sim_ros.fit.parameters import FitError
+
+    common = {name: text for name, text in held.items() if ":" not in name}
+    if len(common) == len(held):
+        return common
+    by_file = [dict(common) for _ in paths]
+    for name, text in held.items():
+        file, colon, gripper = name.rpartition(":")
+        if not colon:
+            continue
+        matching = [k for k, path in enumerate(paths) if file in (str(path), path.name, path.stem)]
+        if len(matching) != 1:
+            raise FitError(f"--held {name}={text} names {len(matching)} files; write a given path or a file's name")
+        by_file[matching[0]][gripper] = text
+    return by_file
 
 
 def _read_sessions(options: argparse.Namespace, scene: Scene | None) -> list[FitRecording]:

@@ -270,7 +270,7 @@ def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Ar
     eta = align_all(problem, point, selected)
     point = replace_alignment(problem, point, selected, eta)
     steps = np.full(len(problem.parameters), _SEARCH_STEP)
-    for has_smooth_noise in (False, True):
+    for has_smooth_noise in (False, False, True):
         noise = problem.smooth_noise(point, selected, loss) if has_smooth_noise else problem.white_noise(point, loss)
         solution = solve_joint(
             problem,
@@ -280,6 +280,7 @@ def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Ar
             tolerance=SEARCH_TOLERANCE,
             max_iterations=_SEARCH_ITERATIONS,
             steps=steps,
+            estimates_noise=True,
             converged_fraction=_SEARCHED,
         )
         point = solution.point
@@ -349,7 +350,7 @@ def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -
 def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
     """Return the solution of all recordings, and the number of unpredictable clouds."""
     steps, unpredictable = np.full(len(point.theta), _MAX_STEP), 0
-    solution = None
+    solution = derivatives = None
     for attempt in range(_MAX_LINEARIZATIONS):
         begin = point.theta
         noise = problem.smooth_noise(point, inside, loss)
@@ -362,21 +363,24 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
             max_iterations=_LAST_ITERATIONS,
             steps=steps,
             central=True,
-            chord=True,
+            derivatives=derivatives,
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations
         steps = np.clip(sigmas, _MIN_STEP, _MAX_STEP)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
-        counts = linear_clouds(problem, solution, inside, median_deviation(residuals))
+        counts = linear_clouds(problem, solution, inside, median_deviation(residuals), steps)
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))
         moved = np.abs(point.theta - begin)
         is_stale = np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP))
-        if attempt == _MAX_LINEARIZATIONS - 1 or not (removed or is_stale):
+        is_done = solution.is_converged and not (removed or is_stale)
+        if is_done or attempt == _MAX_LINEARIZATIONS - 1:
             break
         unpredictable += removed
         for k, n in zip(inside, counts, strict=True):
             problem.used[k] = problem.used[k][:n]
+        is_usable = solution.is_converged and not is_stale
+        derivatives = solution.derivatives.first_clouds(counts) if is_usable else None
         point = replace_alignment(problem, point, inside, point.eta)
     assert solution is not None
     return solution, unpredictable

@@ -55,8 +55,13 @@ def _head(fit: MotionFit) -> Iterator[str]:
 
 def _grasp_lines(fit: MotionFit) -> Iterator[str]:
     if fit.grasp is None:
-        for entry in fit.recordings[0].grasped:
-            yield describe_grasped(entry, fit.scene)
+        if all(recording.grasped == fit.recordings[0].grasped for recording in fit.recordings):
+            for entry in fit.recordings[0].grasped:
+                yield describe_grasped(entry, fit.scene)
+            return
+        for recording in fit.recordings:
+            held = ", ".join(f"{e.gripper} {' '.join(str(k) for k in e.particles[:6])}" for e in recording.grasped)
+            yield f"Held particles of {recording.name}: {held}."
         return
     yield from describe_choice(fit.grasp)
 

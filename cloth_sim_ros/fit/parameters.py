@@ -35,6 +35,19 @@ _BENDING = "bending"
 #: Further full names; each obstacle of the scene adds `<obstacle>.friction`.
 _GRIPPER_NAMES = ("gripper.stiffness", "gripper.damping", "gripper.friction")
 _OTHER_NAMES = ("material.bending_modulus", "bending.stiffness", "contact.damping", *_GRIPPER_NAMES)
+#: Parameters of motion alone: in still air they do not act on a cloth at rest.
+_OF_MOTION = frozenset(
+    {
+        "material.damping",
+        "material.viscosity",
+        "contact.damping",
+        "gripper.damping",
+        "air.drag",
+        "air.added_mass",
+        "wind.normal_drag",
+        "wind.tangential_drag",
+    }
+)
 #: Ratio of the search limits to the starting value.
 SEARCH_FACTOR = 100.0
 
@@ -108,6 +121,11 @@ def scene_with(scene: Scene, parameters: Sequence[FitParameter], values: Sequenc
         else:
             changed[parameter.name] = float(value)
     return Scene.from_parameters({**current, **changed}, files=scene.files)
+
+
+def acts_at_rest(scene: Scene, parameter: FitParameter) -> bool:
+    """Return true if the rest shape of the scene's cloth may depend on a parameter."""
+    return parameter.name not in _OF_MOTION or any(scene.wind.velocity)
 
 
 def _full_name(scene: Scene, name: str) -> str:

@@ -10,10 +10,17 @@ import attrs
 
 from cloth_sim_ros.fit.alignment import FIXED, MAX_OFFSET, SHARED
 from cloth_sim_ros.fit.grasped import find_grasped_at_rest, parse_all_grasped
-from cloth_sim_ros.fit.hypotheses import ROUNDS, GraspChoice, Hypothesis, plausible_particles, score_hypotheses
+from cloth_sim_ros.fit.hypotheses import (
+    ROUNDS,
+    GraspChoice,
+    Hypothesis,
+    plausible_particles,
+    score_hypotheses,
+    selections,
+)
 from cloth_sim_ros.fit.motions import MotionFit, fit_motions, strongest_motions
 from cloth_sim_ros.fit.noise import HUBER
-from cloth_sim_ros.fit.parameters import FitParameter, choose_parameters
+from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.recording import FitRecording
 from cloth_sim_ros.fit.start import SETTLE_TIME, closed_grippers, motion_recording, start_time
@@ -27,7 +34,7 @@ def fit_real(
     scene: Scene,
     names: Sequence[str],
     *,
-    grasped: Mapping[str, str] | None = None,
+    grasped: Mapping[str, str] | Sequence[Mapping[str, str]] | None = None,
     start: Mapping[str, float] | None = None,
     settle_time: float = SETTLE_TIME,
     time_offset: str = SHARED,
@@ -38,13 +45,16 @@ def fit_real(
     workers: int | None = None,
     on_progress: Callable[[int], None] = lambda _runs: None,
 ) -> MotionFit:
-    """Fit parameters to recordings of one real cloth, whose grippers hold the same particles in all of them.
+    """Fit parameters to recordings of one real cloth.
+
+    Its grippers hold the same particles in all of them, unless they are named for each.
 
     Args:
         recordings: clouds and gripper poses.
         scene: the cloth and its grippers.
         names: names of the parameters, short (`stretch`) or full (`material.stretch_modulus`).
         grasped: grasped particles by gripper, such as ``12,13`` or ``top_left``; by default, chosen by the motions.
+            A sequence names those of each recording, for all closed grippers.
         start: starting values by name; the scene's by default.
         settle_time: settling time of the simulated cloth before the start [s].
         time_offset: offset between clouds and poses: ``no``, ``shared`` by all recordings, or for ``each``.
@@ -58,7 +68,12 @@ def fit_real(
     Raises:
         FitError: if the fit is impossible; the text names cause and remedy.
     """
-    named = parse_all_grasped(scene, grasped or {})
+    by_recording = None
+    if isinstance(grasped, Sequence):
+        if len(grasped) != len(recordings):
+            raise FitError(f"grasped particles are named for {len(grasped)} of {len(recordings)} recordings")
+        by_recording = [parse_all_grasped(scene, texts) for texts in grasped]
+    named = {} if isinstance(grasped, Sequence) else parse_all_grasped(scene, grasped or {})
     parameters = choose_parameters(scene, names, start)
     max_offset = 0.0 if time_offset == FIXED else MAX_OFFSET
     with TrajectoryPool(workers) as pool:
@@ -71,9 +86,12 @@ def fit_real(
             pool=pool,
             on_progress=on_progress,
         )
-        choice = choose.initial(named, max_offset)
+        choice = choose.initial(named, max_offset) if by_recording is None else None
         while True:
-            prepared = _prepare(recordings, scene, choice, named, settle_time, max_offset)
+            if by_recording is None:
+                prepared = _prepare(recordings, scene, choice, named, settle_time, max_offset)
+            else:
+                prepared = _prepare_named(recordings, scene, by_recording, settle_time, max_offset)
             fit = fit_motions(
                 prepared,
                 names,
@@ -132,6 +150,27 @@ def _prepare(
                 find_grasped_at_rest(scene, name, recording.grippers[name].pose_at(begin)[0], named.get(name, ()))
                 for name in closed_grippers(scene, recording.grippers, begin, named)
             ]
+        prepared.append(motion_recording(recording, scene, chosen, settle_time=settle_time, max_offset=max_offset))
+    return prepared
+
+
+def _prepare_named(
+    recordings: Sequence[Recording],
+    scene: Scene,
+    named: Sequence[Mapping[str, tuple[int, ...]]],
+    settle_time: float,
+    max_offset: float,
+) -> list[FitRecording]:
+    prepared = []
+    for recording, particles in zip(recordings, named, strict=True):
+        begin = start_time(recording, scene, max_offset)
+        for name in closed_grippers(scene, recording.grippers, begin, particles):
+            if name not in particles:
+                raise FitError(
+                    f"--held names no particles of gripper '{name}' for {recording.name}; if recordings differ, name "
+                    "those of each gripper"
+                )
+        chosen = selections(particles, is_named=True)
         prepared.append(motion_recording(recording, scene, chosen, settle_time=settle_time, max_offset=max_offset))
     return prepared
 

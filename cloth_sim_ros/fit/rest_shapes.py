@@ -95,7 +95,12 @@ def choose_rest_shapes(
     needed = [k for k in selected if problem.recordings[k].n_settle_frames and len(problem.used[k])]
     shapes = settle(problem, theta, needed, tolerance)
     jobs = [(k, state) for k in needed for state in shapes[k]]
-    results = problem.simulate([(k, theta) for k, _ in jobs], tolerance, rest_states=[state for _, state in jobs])
+    results = problem.simulate(
+        [(k, theta) for k, _ in jobs],
+        tolerance,
+        rest_states=[state for _, state in jobs],
+        are_at_rest=[True] * len(jobs),
+    )
     motions: dict[int, list[tuple[State, SimulatedMotion]]] = {k: [] for k in needed}
     for (k, state), result in zip(jobs, results, strict=True):
         if not isinstance(result, str):

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -14,18 +13,17 @@ from numpy.typing import NDArray
 from cloth_sim_ros.fit.parameters import FitParameter, scene_with
 from cloth_sim_ros.fit.recording import FitRecording, prepare_state
 from cloth_sim_ros.fit.run_pool import RunPool
-from cloth_sim_ros.fit.runs import MAX_WORK, interpolate, settling_drag_events
+from cloth_sim_ros.fit.runs import MAX_WORK, SETTLING_DRAG, interpolate
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-
-if TYPE_CHECKING:
-    pass
 
 #: Tolerance of settling frames [m].
 SETTLING_TOLERANCE = 1e-3
+#: Duration of a settling frame [s].
+SETTLING_PERIOD = 0.1
 #: Settling time of a cloth that starts from the rest state of similar parameters [s].
 WARM_SETTLE_TIME = 1.5
 
@@ -86,6 +84,7 @@ def trajectory_run(
     tolerance: float,
     offsets: tuple[float, float] = (0.0, 0.0),
     rest_state: State | None = None,
+    is_at_rest: bool = False,
 ) -> TrajectoryRun:
     """Return the request of a simulation.
 
@@ -96,9 +95,10 @@ def trajectory_run(
         tolerance: tolerance of the simulation [m].
         offsets: smallest and largest time offset of the clouds [s].
         rest_state: rest state of similar parameters, from which the cloth settles faster.
+        is_at_rest: true if the rest state is that of these parameters too.
     """
     light = attrs.evolve(recording, clouds=())
-    n_warm = max(round(WARM_SETTLE_TIME * recording.scene.rate), 1)
+    n_warm = 0 if is_at_rest else max(round(WARM_SETTLE_TIME * recording.scene.rate), 1)
     omitted = recording.n_settle_frames - n_warm
     if rest_state is not None and omitted > 0:
         light = attrs.evolve(
@@ -129,25 +129,18 @@ def simulate_trajectory(run: TrajectoryRun) -> SimulatedMotion:
     scene = scene_with(
         recording.scene, run.parameters, run.values, tolerance=run.tolerance, step=0.0, work_limit=MAX_WORK
     )
-    simulation = Simulation(scene, recording.state)
+    rest_state = _settle(recording, scene) if n_settle else None
+    simulation = Simulation(scene, rest_state or recording.state)
     stored_frames = _needed_frames(recording, run.offsets)
-    positions, velocities, n_missed, rest_state = [], [], 0, None
-    if stored_frames[0] == 0:
-        positions.append(simulation.state.x.T.copy())
-        velocities.append(simulation.state.v.T.copy())
+    positions, velocities, n_missed = [], [], 0
     needed = frozenset(stored_frames.tolist())
-    for n in range(int(stored_frames[-1])):
-        events = [*recording.events[n], *settling_drag_events(scene, n, n_settle)]
-        if n_settle and n in (0, n_settle):
-            settling = max(SETTLING_TOLERANCE, run.tolerance)
-            events.append(SetParameters({"tolerance": run.tolerance if n else settling}))
-        advance = simulation.advance(events).advance
-        n_missed += advance is not None and advance.flagged > 0 and n >= n_settle
-        if n + 1 == n_settle:
-            rest_state = prepare_state(simulation.state)
-        if n + 1 in needed:
+    for n in range(n_settle, int(stored_frames[-1]) + 1):
+        if n in needed:
             positions.append(simulation.state.x.T.copy())
             velocities.append(simulation.state.v.T.copy())
+        if n < stored_frames[-1]:
+            advance = simulation.advance(recording.events[n]).advance
+            n_missed += advance is not None and advance.flagged > 0
     return SimulatedMotion(
         frames=stored_frames,
         x=np.array(positions),
@@ -157,6 +150,26 @@ def simulate_trajectory(run: TrajectoryRun) -> SimulatedMotion:
         n_settle_frames=n_settle,
         rest_state=rest_state,
     )
+
+
+def _settle(recording: FitRecording, scene: Scene) -> State:
+    """Return the state of a cloth at rest in thick air, after the settling time.
+
+    Nothing moves while the cloth settles, therefore frames are long: most of a frame's cost is independent of its
+    duration.
+    """
+    seconds = recording.n_settle_frames * scene.period
+    n_frames = max(round(seconds / SETTLING_PERIOD), 1)
+    changes = {
+        "rate": n_frames / seconds,
+        "tolerance": max(SETTLING_TOLERANCE, scene.tolerance),
+        "air.drag": max(SETTLING_DRAG, scene.air.drag),
+    }
+    settling = scene_with(scene, (), (), **changes)
+    simulation = Simulation(settling, recording.state)
+    for n in range(n_frames):
+        simulation.advance(recording.events[0] if n == 0 else ())
+    return prepare_state(simulation.state)
 
 
 def _needed_frames(recording: FitRecording, offsets: tuple[float, float]) -> NDArray[np.int64]:
