@@ -30,6 +30,8 @@ _MAX_REDUCTIONS, _REDUCTION = 4, 0.35
 _MIN_UPDATE = 0.02
 #: Converged step [standard deviations], and of a logarithm.
 _CONVERGED_FRACTION, _CONVERGED_STEP = 0.1, 1e-5
+#: Least number of recordings whose scatter gives standard deviations.
+_MIN_SCATTERED = 5
 
 
 @attrs.define(kw_only=True, eq=False)
@@ -364,13 +366,15 @@ def solve_joint(
         matrix = equations.information.sum(axis=0) + np.diag(prior_information)
         gradient = equations.gradient.sum(axis=0) + prior_gradient
         step = _limited_step(matrix, gradient, p)
-        sigmas = np.sqrt(np.diag(np.linalg.inv(matrix)))
-        clamped = problem.clamp(point.theta + step[:p]) - point.theta
-        is_converged = bool(np.all(np.abs(clamped) <= np.maximum(converged_fraction * sigmas[:p], _CONVERGED_STEP)))
+        sigmas = _deviations(matrix, equations.gradient)[:p]
+        distance = np.abs(problem.clamp(point.theta + step[:p]) - point.theta)
+        is_converged = bool(np.all(distance <= np.maximum(converged_fraction * sigmas, _CONVERGED_STEP)))
         if is_converged or iteration == max_iterations:
             break
         moved = _line_search(problem, point, selected, noise, tolerance, step)
         if moved is None:
+            # Short waves make the loss rough: a step within the deviations may find no lower one.
+            is_converged = bool(np.all(distance <= np.maximum(sigmas, _CONVERGED_STEP)))
             break
         derivatives = _updated_derivatives(problem, derivatives, point, moved, selected)
         point = moved
@@ -407,6 +411,21 @@ def _updated_derivatives(
     return attrs.evolve(derivatives, slopes=slopes)
 
 
+def _deviations(matrix: Array, gradient: Array) -> Array:
+    """Return the standard deviations of all unknowns: by the noise, or by the scatter of the recordings if larger.
+
+    Args:
+        matrix: information of all recordings and of the prior, shape (unknowns, unknowns).
+        gradient: gradient of each recording, shape (recordings, unknowns).
+    """
+    inverse = np.linalg.inv(matrix)
+    variances, count = np.diag(inverse), len(gradient)
+    if count >= _MIN_SCATTERED:
+        influence = (gradient - gradient.mean(axis=0)) @ inverse
+        variances = np.maximum(variances, count / (count - 1.0) * np.square(influence).sum(axis=0))
+    return np.sqrt(variances)
+
+
 def _limited_step(matrix: Array, gradient: Array, p: int) -> Array:
     """Return the Newton step in which no logarithm changes by more than `MAX_LOG_STEP`.
 
@@ -438,6 +457,20 @@ def _line_search(
             return moved
         scaled = scaled * _REDUCTION
     return None
+
+
+def roughness(derivatives: Derivatives) -> Array:
+    """Return the share of short waves in the differences of each parameter, from 0 to 1, shape (p,).
+
+    Folds that come and go change the residuals by amounts that do not grow with the difference step. If these are alike
+    at three points, the square sum of the second difference is three times that of the central one.
+    """
+    shares = []
+    for i, step in enumerate(derivatives.steps):
+        second = sum(float(np.square(2.0 * c).sum()) for row in derivatives.curvatures for c in row[i])
+        first = sum(float(np.square(2.0 * step * s).sum()) for row in derivatives.slopes for s in row[i])
+        shares.append(min(second / (3.0 * first), 1.0) if first > 0.0 else 0.0)
+    return np.array(shares)
 
 
 def linear_clouds(

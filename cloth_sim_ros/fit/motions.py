@@ -16,7 +16,7 @@ from cloth_sim_ros.fit.clusters import MIN_MOTIONS, Covariance, jackknife_covari
 from cloth_sim_ros.fit.fit import Estimate
 from cloth_sim_ros.fit.hypotheses import GraspChoice
 from cloth_sim_ros.fit.information import ConfoundedDirection, confounded_directions
-from cloth_sim_ros.fit.joint import JointProblem, JointSolution, Point, linear_clouds, solve_joint
+from cloth_sim_ros.fit.joint import JointProblem, JointSolution, Point, linear_clouds, roughness, solve_joint
 from cloth_sim_ros.fit.noise import HUBER, median_deviation
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
@@ -36,13 +36,15 @@ N_SEARCHED = 6
 #: Step at which a first search ends [standard deviations].
 _SEARCHED = 0.5
 #: Difference step of the first search, and limits of the last one's steps.
-_SEARCH_STEP, _MIN_STEP, _MAX_STEP = 0.03, 0.02, 0.05
+_SEARCH_STEP, _MIN_STEP, _MAX_STEP = 0.1, 0.02, 0.1
+#: Share of short waves in the differences above which a step is doubled, and its limit.
+_MAX_ROUGHNESS, _ROUGH_STEP = 0.1, 0.4
 #: Largest change of a time offset after the first search [s].
 _OFFSET_MARGIN = 0.1
 #: Iterations of the searches, and of the last search between two linearizations.
 _SEARCH_ITERATIONS, _LAST_ITERATIONS = 6, 5
 #: Number of linearizations of all recordings.
-_MAX_LINEARIZATIONS = 3
+_MAX_LINEARIZATIONS = 5
 #: Change of a logarithm since the linearization above which it is repeated [standard deviations] and absolute.
 _STALE_SIGMAS, _STALE_STEP = 3.0, 0.1
 #: Median residual of a cloud above which it cannot be the cloth [median of all clouds].
@@ -350,6 +352,8 @@ def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -
 def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
     """Return the solution of all recordings, and the number of unpredictable clouds."""
     steps, unpredictable = np.full(len(point.theta), _MAX_STEP), 0
+    # Steps that average over short waves do not become shorter again.
+    min_steps = np.zeros(len(point.theta))
     solution = derivatives = None
     for attempt in range(_MAX_LINEARIZATIONS):
         begin = point.theta
@@ -367,12 +371,16 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations
-        steps = np.clip(sigmas, _MIN_STEP, _MAX_STEP)
+        is_rough = (roughness(solution.derivatives) > _MAX_ROUGHNESS) & (steps < _ROUGH_STEP)
+        min_steps = np.where(is_rough, np.minimum(2.0 * steps, _ROUGH_STEP), min_steps)
+        bounds = np.clip(sigmas, _MIN_STEP, _MAX_STEP)
+        steps = np.maximum(bounds, min_steps)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
-        counts = linear_clouds(problem, solution, inside, median_deviation(residuals), steps)
+        counts = linear_clouds(problem, solution, inside, median_deviation(residuals), bounds)
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))
         moved = np.abs(point.theta - begin)
         is_stale = np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP))
+        is_stale |= is_rough.any()
         is_done = solution.is_converged and not (removed or is_stale)
         if is_done or attempt == _MAX_LINEARIZATIONS - 1:
             break

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits to a synthetic copy of a recorded set of swings: errors, coverage, widths and held particles.
 
-A complete fit searches from the middle of the ranges of the true values, within a factor of 2.8, and finds held
+A complete fit searches from the middle of the ranges of the true values, within a factor of 2.8. It finds held
 particles, time offset and camera pose itself.
 """
 
@@ -114,7 +114,9 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
                     stream.write(json.dumps(fits[seed]) + "\n")
         entries.append(fits[seed])
         used = fits[seed]["processor_seconds"]
-        print_progress(f"fit {seed}: {fits[seed]['seconds']:.0f} s, {used:.0f} s of processors, {fits[seed]['runs']} runs")
+        print_progress(
+            f"fit {seed}: {fits[seed]['seconds']:.0f} s, {used:.0f} s of processors, {fits[seed]['runs']} runs"
+        )
     columns = ["parameter", "identified", "largest error of these %", "rms error %", "mean bound %", "covered"]
     table = Table(f"{len(entries)} complete fits to {options.motions} motions", columns)
     for name in samples.TRUTH:

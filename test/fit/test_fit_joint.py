@@ -1,0 +1,41 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Differences of residuals: smooth ones, and those of motions with folds that come and go."""
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.fit.joint import Derivatives, roughness
+
+STEPS = np.array([0.1, 0.4])
+
+
+def differences(residual):
+    """Central differences of a function of one logarithm, for each step: one recording with one cloud."""
+    slopes, curvatures = [], []
+    for step in STEPS:
+        up, down, centre = residual(step), residual(-step), residual(0.0)
+        slopes.append([(up - down) / (2.0 * step)])
+        curvatures.append([0.5 * (up + down) - centre])
+    return Derivatives(slopes=[slopes], curvatures=[curvatures], steps=STEPS)
+
+
+def test_smooth_residuals_are_not_rough():
+    rng = np.random.default_rng(1)
+    slope, bow = rng.normal(size=(2, 50, 3))
+    shares = roughness(differences(lambda change: slope * change + 0.2 * bow * change**2))
+    assert shares.max() < 0.01
+
+
+def test_longer_steps_average_over_short_waves():
+    rng = np.random.default_rng(2)
+    slope = rng.normal(size=(500, 3))
+    # Each simulation has its own deviation, however small the step.
+    shares = roughness(differences(lambda change: slope * change + 0.1 * rng.normal(size=slope.shape)))
+    deviation, signal = 0.1**2, 2.0 * STEPS**2
+    assert shares == pytest.approx(deviation / (deviation + signal), rel=0.15)
+    assert roughness(differences(lambda _: rng.normal(size=slope.shape))) == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+def test_parameter_without_effect_has_no_roughness():
+    assert roughness(differences(lambda _: np.ones((5, 3)))).tolist() == [0.0, 0.0]
