@@ -26,8 +26,6 @@ from cloth_sim_ros.physics.state.state import State
 _NOISE_STEPS = 4
 #: Largest number of reductions of a step that does not lower the loss, and the factor of each.
 _MAX_REDUCTIONS, _REDUCTION = 4, 0.35
-#: Least step of the logarithms that corrects the derivatives.
-_MIN_UPDATE = 0.02
 #: Converged step [standard deviations], and of a logarithm.
 _CONVERGED_FRACTION, _CONVERGED_STEP = 0.1, 1e-5
 #: Least number of recordings whose scatter gives standard deviations.
@@ -328,24 +326,22 @@ def solve_joint(
     steps: Array,
     central: bool = False,
     derivatives: Derivatives | None = None,
-    estimates_noise: bool = False,
+    chord: bool = False,
     converged_fraction: float = _CONVERGED_FRACTION,
 ) -> JointSolution:
     """Return the minimum of the loss near a point, by Gauss-Newton steps with a line search.
-
-    All steps use the derivatives of the start, by differences, corrected by each long step.
 
     Args:
         problem: recordings and unknowns.
         point: start of the search.
         selected: indices of the compared recordings.
-        noise: noise model; with `estimates_noise` it is estimated again in each iteration.
+        noise: noise model; without `chord` it is estimated again in each iteration.
         tolerance: tolerance of the simulations [m].
         max_iterations: largest number of steps.
         steps: difference steps of the logarithms, shape (p,).
         central: true for central differences.
-        derivatives: derivatives near the start, in place of differences.
-        estimates_noise: true to estimate the noise model in each iteration.
+        derivatives: derivatives at the start, in place of differences.
+        chord: true to use the derivatives and the noise model of the start in all iterations.
         converged_fraction: step that counts as converged [standard deviations].
 
     Raises:
@@ -359,7 +355,7 @@ def solve_joint(
         derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
     p, is_converged = len(point.theta), False
     for iteration in range(max_iterations + 1):
-        if estimates_noise:
+        if not chord:
             noise = problem.update_noise(noise, point, selected)
         equations = problem.normal_equations(point, derivatives, selected, noise)
         prior_information, prior_gradient = problem.prior(point)
@@ -376,39 +372,13 @@ def solve_joint(
             # Short waves make the loss rough: a step within the deviations may find no lower one.
             is_converged = bool(np.all(distance <= np.maximum(sigmas, _CONVERGED_STEP)))
             break
-        derivatives = _updated_derivatives(problem, derivatives, point, moved, selected)
         point = moved
+        if not chord:
+            # From afar, derivatives that are only corrected by the steps (Broyden) end in another valley.
+            derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
     return JointSolution(
         point=point, derivatives=derivatives, noise=noise, equations=equations, is_converged=is_converged
     )
-
-
-def _updated_derivatives(
-    problem: JointProblem, derivatives: Derivatives, before: Point, after: Point, selected: Sequence[int]
-) -> Derivatives:
-    """Return derivatives that give the change of the residuals along a step exactly (Broyden 1965).
-
-    After a short step they stay as they are, because the error of the simulations would dominate.
-    """
-    step = after.theta - before.theta
-    square = float(step @ step)
-    if square < _MIN_UPDATE**2:
-        return derivatives
-    slopes = []
-    for row, k in enumerate(selected):
-        # The alignment's part of the change is known without simulations.
-        moved = problem.residuals(k, after.trajectories[row], before.eta)
-        errors = [
-            b - a - sum(s * by_cloud[c] for s, by_cloud in zip(step, derivatives.slopes[row], strict=True))
-            for c, (a, b) in enumerate(zip(before.residuals[row], moved, strict=True))
-        ]
-        slopes.append(
-            [
-                [slope + s / square * error for slope, error in zip(by_cloud, errors, strict=True)]
-                for s, by_cloud in zip(step, derivatives.slopes[row], strict=True)
-            ]
-        )
-    return attrs.evolve(derivatives, slopes=slopes)
 
 
 def _deviations(matrix: Array, gradient: Array) -> Array:

@@ -282,7 +282,6 @@ def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Ar
             tolerance=SEARCH_TOLERANCE,
             max_iterations=_SEARCH_ITERATIONS,
             steps=steps,
-            estimates_noise=True,
             converged_fraction=_SEARCHED,
         )
         point = solution.point
@@ -368,6 +367,7 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
             steps=steps,
             central=True,
             derivatives=derivatives,
+            chord=True,
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import attrs
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from support.motion_samples import HELD, record_motions, scene_of
 from cloth_sim_ros.fit import joint
 from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel
 from cloth_sim_ros.fit.hypotheses import selections
-from cloth_sim_ros.fit.joint import JointProblem, Point
+from cloth_sim_ros.fit.joint import Derivatives, JointProblem, Point
+from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import acts_at_rest, choose_parameters
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
@@ -60,6 +63,29 @@ def test_run_at_rest_repeats_motion(problem: JointProblem) -> None:
     assert again.n_settle_frames == 0
     assert np.array_equal(again.x, settled.x)
     assert np.array_equal(again.frames, settled.frames - settled.n_settle_frames)
+
+
+@pytest.mark.parametrize("chord", [False, True])
+def test_search_differentiates_at_each_step(
+    problem: JointProblem, monkeypatch: pytest.MonkeyPatch, chord: bool
+) -> None:
+    start = problem.start + np.array([0.0, 0.7, -0.7])
+    point = problem.evaluate(start, np.zeros(problem.alignment.n_unknowns), [0], 1e-4)
+    assert isinstance(point, Point)
+    places, differentiate = [], JointProblem.differentiate
+
+    def count(self: JointProblem, at: Point, *args: Any, **settings: Any) -> Derivatives:
+        places.append(at.theta)
+        return differentiate(self, at, *args, **settings)
+
+    monkeypatch.setattr(JointProblem, "differentiate", count)
+    noise, steps = problem.white_noise(point, HUBER), np.full(len(NAMES), 0.03)
+    result = joint.solve_joint(
+        problem, point, [0], noise=noise, tolerance=1e-4, max_iterations=2, steps=steps, chord=chord
+    )
+    assert not np.array_equal(result.point.theta, start)
+    assert np.array_equal(places[-1], start if chord else result.point.theta)
+    assert len(places) == (1 if chord else 3)
 
 
 def test_wind_makes_drag_act_at_rest() -> None:
