@@ -231,7 +231,7 @@ def _prepare_real(
     if options.camera_pose is not None:
         camera_pose = _parse_numbers(options.camera_pose, 7, "--camera-pose")
     groups = [options.session] if options.parts else [[path] for path in options.session]
-    grasped = _grasped_of_groups(held, [group[0] for group in groups])
+    grasped = grasped_of_groups(held, [group[0] for group in groups])
     recordings = []
     for group in groups:
         recording = read_recording(
@@ -252,7 +252,7 @@ def _prepare_real(
     return lambda progress: fit_real(recordings, scene, names, **settings, grasped=grasped, on_progress=progress)
 
 
-def _grasped_of_groups(held: dict[str, str], paths: Sequence[Path]) -> dict[str, str] | list[dict[str, str]]:
+def grasped_of_groups(held: dict[str, str], paths: Sequence[Path]) -> dict[str, str] | list[dict[str, str]]:
     """Return grasped particles by gripper, for each file if an entry names one, such as ``swing_2:left``."""
     from cloth_sim_ros.fit.parameters import FitError
 

@@ -75,7 +75,7 @@ def test_plan_times_are_compared_with_estimates(tmp_path: Path) -> None:
     file = tmp_path / "speed.json"
     assert main(["speed", "--only", "plans", "--meshes", "100", "--seconds", "0", "--json", str(file)]) == 0
     rows = json.loads(file.read_text())["tables"][0]["rows"]
-    assert [row[1] for row in rows] == [100] + 8 * [speed.PLAN_GRID**2]
+    assert [row[1] for row in rows] == [100] + 9 * [speed.PLAN_GRID**2]
     assert all(row[2] > 0.0 and row[3] > 0.0 for row in rows)
     assert [row[4] for row in rows] == pytest.approx([row[2] / row[3] for row in rows])
 

@@ -14,7 +14,7 @@ import pytest
 from support.motion_samples import CAMERA, HELD, TRUTH, record_motions, scene_of
 
 from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis
-from cloth_sim_ros.fit.main import _grasped_of_groups
+from cloth_sim_ros.fit.main import grasped_of_groups
 from cloth_sim_ros.fit.motions import MotionFit, held_out_indices
 from cloth_sim_ros.fit.motions_files import write_json
 from cloth_sim_ros.fit.motions_text import describe_choice, describe_motions
@@ -103,11 +103,11 @@ def test_particles_are_named_for_each_recording(recordings: list[Recording]) -> 
 
 def test_held_particles_of_files_are_told_apart() -> None:
     paths = [Path("a/swing_1.mcap"), Path("a/swing_2.mcap")]
-    assert _grasped_of_groups({"left": "0"}, paths) == {"left": "0"}
+    assert grasped_of_groups({"left": "0"}, paths) == {"left": "0"}
     expected = [{"left": "0"}, {"left": "0", "right": "4"}]
-    assert _grasped_of_groups({"left": "0", "swing_2:right": "4"}, paths) == expected
+    assert grasped_of_groups({"left": "0", "swing_2:right": "4"}, paths) == expected
     with pytest.raises(FitError, match="names 0 files"):
-        _grasped_of_groups({"swing_3:right": "4"}, paths)
+        grasped_of_groups({"swing_3:right": "4"}, paths)
 
 
 def test_motion_chooses_right_corners(recordings: list[Recording]) -> None:

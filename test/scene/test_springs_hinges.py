@@ -85,7 +85,7 @@ def test_pair_with_a_spring_gets_no_opposite_spring():
     ("tables", "values", "words"),
     [
         (chain_tables(), values_of("crossed"), "choose none, or give the springs file triangles"),
-        (net_tables(3), {"bending.model": "axial"}, "choose none, opposite, crossed or altitude"),
+        (net_tables(3), {"bending.model": "axial"}, "choose none, opposite, crossed, altitude or quadratic"),
         (net_tables(3), {"bending.model": "crossed"}, "needs material.bending_modulus above 0 N m"),
         (
             {**net_tables(3), "triangles": [[0, 1, 4], [0, 1, 3]]},
