@@ -12,7 +12,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.fit.fit import Fit, fitted_positions
+from cloth_sim_ros.fit.fit import Estimate, Fit, fitted_positions
+from cloth_sim_ros.fit.information import ConfoundedDirection
 from cloth_sim_ros.fit.motions import MotionFit
 from cloth_sim_ros.fit.parameters import scene_with
 from cloth_sim_ros.fit.recording import visible
@@ -27,28 +28,9 @@ def write_json(fit: Fit, path: Path) -> None:
     content: dict[str, Any] = {
         "name": fit.name,
         "all_identified": fit.all_identified,
-        "parameters": [
-            {
-                "name": estimate.parameter.name,
-                "unit": estimate.parameter.unit,
-                "value": estimate.value,
-                "start": estimate.parameter.start,
-                "bound": estimate.bound,
-                "interval": estimate.interval if math.isfinite(estimate.bound) else None,
-                "identified": estimate.is_identified,
-                "verdict": verdict(estimate, fit.within),
-            }
-            for estimate in fit.estimates
-        ],
+        "parameters": [estimate_entry(estimate, fit.within) for estimate in fit.estimates],
         "covariance": fit.covariance.tolist(),
-        "confounded": [
-            {
-                "parameters": [p.name for p in direction.parameters],
-                "components": list(direction.components),
-                "bound": direction.bound,
-            }
-            for direction in fit.confounded
-        ],
+        "confounded": [confounded_entry(direction) for direction in fit.confounded],
         "sigma": fit.sigma,
         "sigma_prescribed": fit.is_sigma_prescribed,
         "rms": fit.rms,
@@ -74,6 +56,30 @@ def write_json(fit: Fit, path: Path) -> None:
     content = old_keys.add_old_keys(content, old_keys.FIT)
     with atomic_write(path) as output:
         output.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def estimate_entry(estimate: Estimate, within: float) -> dict[str, Any]:
+    """Return the numbers of a parameter; without an interval, bound and interval are None."""
+    has_interval = estimate.has_interval
+    return {
+        "name": estimate.parameter.name,
+        "unit": estimate.parameter.unit,
+        "value": estimate.value,
+        "start": estimate.parameter.start,
+        "bound": estimate.bound if has_interval else None,
+        "interval": estimate.interval if has_interval and math.isfinite(estimate.bound) else None,
+        "identified": estimate.is_identified,
+        "verdict": verdict(estimate, within),
+    }
+
+
+def confounded_entry(direction: ConfoundedDirection) -> dict[str, Any]:
+    """Return the numbers of a confounded direction."""
+    return {
+        "parameters": [p.name for p in direction.parameters],
+        "components": list(direction.components),
+        "bound": direction.bound,
+    }
 
 
 def write_parameters(fit: Fit | MotionFit, path: Path) -> list[str]:

@@ -117,6 +117,12 @@ class MotionFit:
         return {estimate.parameter.name: estimate.value for estimate in self.estimates}
 
     @property
+    def unused(self) -> tuple[str, ...]:
+        """Names of recordings of which no cloud is used."""
+        scored = {entry.name for entry in self.motions}
+        return tuple(recording.name for recording in self.recordings if recording.name not in scored)
+
+    @property
     def all_identified(self) -> bool:
         """True if every parameter is identified."""
         return all(estimate.is_identified for estimate in self.estimates)

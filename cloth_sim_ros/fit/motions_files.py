@@ -5,16 +5,14 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 import attrs
 
-from cloth_sim_ros.fit.files import plain
+from cloth_sim_ros.fit.files import confounded_entry, estimate_entry, plain
 from cloth_sim_ros.fit.motions import MotionFit
 from cloth_sim_ros.fit.scores import Score
-from cloth_sim_ros.fit.text import verdict
 from cloth_sim_ros.session.output_files import atomic_write
 
 
@@ -24,29 +22,9 @@ def write_json(fit: MotionFit, path: Path) -> None:
     content: dict[str, Any] = {
         "name": fit.name,
         "all_identified": fit.all_identified,
-        "parameters": [
-            {
-                "name": estimate.parameter.name,
-                "unit": estimate.parameter.unit,
-                "value": estimate.value,
-                "start": estimate.parameter.start,
-                "bound": estimate.bound if has_intervals else None,
-                "interval": estimate.interval if has_intervals and math.isfinite(estimate.bound) else None,
-                "freedom": estimate.freedom,
-                "identified": estimate.is_identified,
-                "verdict": verdict(estimate, fit.within),
-            }
-            for estimate in fit.estimates
-        ],
+        "parameters": [{**estimate_entry(e, fit.within), "freedom": e.freedom} for e in fit.estimates],
         "covariance": fit.covariance.matrix.tolist() if has_intervals else None,
-        "confounded": [
-            {
-                "parameters": [p.name for p in direction.parameters],
-                "components": list(direction.components),
-                "bound": direction.bound,
-            }
-            for direction in fit.confounded
-        ],
+        "confounded": [confounded_entry(direction) for direction in fit.confounded],
         "time_offset": fit.alignment_model.time,
         "camera_pose": fit.alignment_model.camera,
         "pivot": list(fit.alignment_model.pivot),

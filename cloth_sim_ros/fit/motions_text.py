@@ -137,6 +137,8 @@ def _notes(fit: MotionFit) -> Iterator[str]:
         )
     for direction in fit.confounded:
         yield describe_direction(direction, fit.within)
+    for name in fit.unused:
+        yield f"{name} is not used: none of its clouds can be this cloth. Is it another cloth?"
     for name in fit.suspicious:
         yield f"{name} follows the model much worse than the others: is it another cloth, or another grasp?"
     if fit.doubt:
