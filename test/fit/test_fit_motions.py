@@ -84,11 +84,11 @@ def test_report_states_alignment_and_intervals(fitted: MotionFit, tmp_path: Path
 
 
 def test_recording_of_another_cloth_is_named(recordings: list[Recording]) -> None:
-    elsewhere = attrs.evolve(recordings[2], name="curtain", clouds=[2.5 * cloud for cloud in recordings[2].clouds])
-    fit = fit_real([*recordings[:2], elsewhere], scene_of(), ["normal_drag"], grasped=NAMED, **QUICK)
+    curtain = attrs.evolve(recordings[2], name="curtain", clouds=[2.5 * cloud for cloud in recordings[2].clouds])
+    fit = fit_real([*recordings[:2], curtain], scene_of(), ["normal_drag"], grasped=NAMED, **QUICK)
     assert fit.unused == ("curtain",)
     assert "curtain is not used: none of its clouds can be this cloth" in describe_motions(fit)
-    assert fit.left_out.wrong_scale == len(elsewhere.clouds)
+    assert fit.left_out.wrong_scale == len(curtain.clouds)
 
 
 def test_few_clean_motions_give_drag_without_interval() -> None:
