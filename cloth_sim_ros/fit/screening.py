@@ -112,38 +112,39 @@ def _without_shortened(
         r.matched and r.n_settle_frames > 0 and all(len(c) == n_particles for c in r.clouds) for r in recordings
     ):
         return list(used)
-    ratios = [
-        np.array([length_ratios(r.clouds[k], scene) for k in indices]).reshape(-1, 2)
-        for r, indices in zip(recordings, used, strict=True)
-    ]
+    ratios = [length_ratios([r.clouds[k] for k in indices], scene) for r, indices in zip(recordings, used, strict=True)]
     together = np.concatenate(ratios)
     limits = np.array([(1.0 - MAX_SHORTENING) * min(_usual(column[np.isfinite(column)]), 1.0) for column in together.T])
     return [indices[~(part < limits).any(axis=1)] for indices, part in zip(used, ratios, strict=True)]
 
 
-def length_ratios(cloud: Array, scene: Scene) -> tuple[float, float]:
-    """Return the lengths of a cloud over those of the rest shape, near the two axes along which that is largest.
+def length_ratios(clouds: Sequence[Array], scene: Scene) -> Array:
+    """Return the lengths of clouds over those of the rest shape, near the two axes along which that is largest.
 
     NaN stands for a direction in which too few neighbours are visible.
 
     Args:
-        cloud: a point for each particle [m], NaN if it is hidden, shape (n, 3).
+        clouds: a point for each particle [m], NaN if it is hidden, shape (n, 3) each.
         scene: the cloth.
+
+    Returns:
+        Ratios, shape (clouds, 2).
     """
     positions, triangles = scene.sheet.positions(), scene.sheet.triangles()
     edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    edges = edges[visible(cloud)[edges].all(axis=1)]
     vectors = positions[edges[:, 1]] - positions[edges[:, 0]]
     axes = np.argsort(-np.ptp(positions, axis=0), kind="stable")[:2]
     along, across = np.abs(vectors[:, axes]).T
-    lengths = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1)
-    return _ratio(lengths, vectors, along > _SIDEWAYS * across), _ratio(lengths, vectors, across > _SIDEWAYS * along)
-
-
-def _ratio(lengths: Array, vectors: Array, chosen: NDArray[np.bool_]) -> float:
-    if chosen.sum() < _MIN_LENGTHS:
-        return float("nan")
-    return float(lengths[chosen].sum() / np.linalg.norm(vectors[chosen], axis=1).sum())
+    rest_lengths = np.linalg.norm(vectors, axis=1)
+    directions = along > _SIDEWAYS * across, across > _SIDEWAYS * along
+    ratios = np.full((len(clouds), 2), np.nan)
+    for ratio, cloud in zip(ratios, clouds, strict=True):
+        lengths, is_seen = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1), visible(cloud)[edges]
+        for k, chosen in enumerate(directions):
+            used = chosen & is_seen.all(axis=1)
+            if used.sum() >= _MIN_LENGTHS:
+                ratio[k] = lengths[used].sum() / rest_lengths[used].sum()
+    return ratios
 
 
 def _usual(ratios: Array) -> float:
