@@ -23,7 +23,7 @@ from cloth_sim_ros.scene.build import (
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.thread_directions import along_grid, bending_moduli, stretch_moduli
 
-#: Fabrics whose threads are known to be valid, the last one first: their check builds all elements of the sheet.
+#: Fabrics whose elements are known to be valid, the last one first: their check builds all elements of the sheet.
 _ACCEPTED: list[tuple[Any, ...]] = []
 _MAX_ACCEPTED = 4
 
@@ -56,9 +56,9 @@ def check_sheet(scene: PhysicsScene) -> None:
             raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
     sheet = scene.sheet
     fabric = _fabric_of(scene)
-    if fabric not in _ACCEPTED:
+    is_accepted = fabric in _ACCEPTED
+    if not is_accepted:
         _check_threads(scene, sheet)
-        _ACCEPTED[:] = [fabric, *_ACCEPTED[: _MAX_ACCEPTED - 1]]
     if isinstance(sheet, GridSheet):
         if scene.membrane.model == "springs":
             grid_threads_of(scene, sheet)
@@ -93,7 +93,7 @@ def check_sheet(scene: PhysicsScene) -> None:
         raise ParameterError(
             f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
         )
-    if model == "quadratic":
+    if model == "quadratic" and not is_accepted:
         try:
             hinge_springs(scene, sheet, sheet.masses(1.0), None)
         except ParameterError:
@@ -107,6 +107,8 @@ def check_sheet(scene: PhysicsScene) -> None:
             raise
         except ValueError as error:
             raise ParameterError(f"cloth.springs '{cloth.springs}': {error}") from error
+    if not is_accepted:
+        _ACCEPTED[:] = [fabric, *_ACCEPTED[: _MAX_ACCEPTED - 1]]
 
 
 def _fabric_of(scene: PhysicsScene) -> tuple[Any, ...]:
