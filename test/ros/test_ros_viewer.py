@@ -6,12 +6,15 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
@@ -151,6 +154,25 @@ def test_feed_shows_a_bag_that_has_no_parameters(ros_domain: int, monkeypatch: p
             return any(topic == "/cloth_sim/points" for topic, _ in feed.sent)
 
         client.spin_until(is_forwarded, description="a cloud")
+
+
+def test_feed_waits_longer_for_a_node_that_has_the_service(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer_feed, "_PARAMETERS_TIMEOUT", 0.2)
+
+    def answer_late(request: GetParameters.Request, response: GetParameters.Response) -> GetParameters.Response:
+        time.sleep(0.5)
+        rate = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=30.0)
+        response.values = [rate if name == "rate" else ParameterValue() for name in request.names]
+        return response
+
+    with Client() as client:
+        name = "/cloth_sim/get_parameters"
+        client.node.create_service(GetParameters, name, answer_late)
+        feed = Feed(client, "/cloth_sim")
+        client.spin_until(client.node.create_client(GetParameters, name).service_is_ready, description="the service")
+        topology = client.node.create_publisher(Mesh, "/cloth_sim/topology", LATCHED_QOS)
+        topology.publish(mesh_bytes(TRIANGLES, GRID))
+        assert feed.wait_for("parameters") == b'{"rate": 30.0}'
 
 
 def test_wrong_name_lists_the_cloths(

@@ -33,8 +33,9 @@ _PARAMETERS = [
     "diagnostics.energy",
 ]
 _GRIPPER_PARAMETERS = ["mode"]
-#: Longest wait for the parameters of a node that has published its topology [s]; a bag has none.
-_PARAMETERS_TIMEOUT = 2.0
+#: Longest wait for the parameters after a topology [s]: without their service, as of a bag, and with it. A busy
+#: machine's node may take seconds to answer.
+_PARAMETERS_TIMEOUT, _SERVICE_TIMEOUT = 2.0, 10.0
 #: Time after which a request without an answer is repeated [s].
 _REQUEST_PERIOD = 0.5
 #: Time without a topology after which a warning is logged [s].
@@ -84,12 +85,13 @@ class ViewerFeed:
     def _on_timer(self) -> None:
         now = time.monotonic()
         if self._topology_time is not None:
-            if now - self._topology_time > _PARAMETERS_TIMEOUT:
+            has_service = self._client.service_is_ready()
+            if now - self._topology_time > (_SERVICE_TIMEOUT if has_service else _PARAMETERS_TIMEOUT):
                 self._log.warning(
                     f"{self._target} does not answer with its parameters: grippers, anchors and forces are not shown"
                 )
                 self._subscribe({})
-            elif now > self._next_request and self._client.service_is_ready():
+            elif has_service and now > self._next_request:
                 # Again if it is lost: the service may still be that of a node that was killed.
                 self._next_request = now + _REQUEST_PERIOD
                 self._request([*_PARAMETERS, *self._gripper_parameters(self._discovered())], self._on_parameters)
