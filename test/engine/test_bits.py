@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT / "scripts"))
 import bits  # noqa: E402
 import bits_scenes  # noqa: E402
 
-FRAMES = 40
+FRAMES = 24
 #: Scenes whose trace is made again: of one frame, and of as many as contact takes.
 _PLAIN = ["axial springs", "implicit", "crossed springs", "raw springs"]
 _CONTACT = ["obstacles", "pinch", "cloth on itself"]
