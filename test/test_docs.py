@@ -113,6 +113,16 @@ def test_every_block_of_the_pages_is_run_or_says_why_not(run_docs: ModuleType) -
     assert all(block.words for some in blocks.values() for block in some if block.mark == "skip")
 
 
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorials/robot.md"])
+def test_python_blocks_run_as_shown(run_docs: ModuleType, name: str) -> None:
+    blocks = [block for block in run_docs.blocks_of((ROOT / name).read_text(), name) if block.language == "python"]
+    assert blocks
+    for block in blocks:
+        done = subprocess.run([sys.executable, "-c", block.code], cwd=ROOT, capture_output=True, text=True)
+        assert done.returncode == 0, f"{block.location}: {done.stderr}"
+        assert not block.output or not run_docs.difference(block.output, done.stdout, numbers_vary=block.numbers_vary)
+
+
 def test_a_block_that_is_neither_run_nor_marked_is_refused(run_docs: ModuleType) -> None:
     with pytest.raises(run_docs.PageError, match=r"page:3: a block of 'yaml'"):
         run_docs.blocks_of("words\n\n```yaml\na: 1\n```\n", "page")
