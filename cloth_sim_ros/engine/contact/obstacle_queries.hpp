@@ -360,36 +360,63 @@ void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) 
     });
 }
 
+/// Upper bound of the motion of particles relative to an obstacle, on straight paths of a duration from time t on.
+class RelativeMotion {
+public:
+    RelativeMotion(const double* path, double t, double duration) {
+        // The position of an obstacle is a cubic in time. Its motion is the velocity halfway and the variation of that.
+        const auto order = [&](int k) { return Vec3<double>{path[4 + 3 * k], path[5 + 3 * k], path[6 + 3 * k]}; };
+        const double half = 0.5 * duration, middle = t + half - path[0], end = t + duration - path[0];
+        const Vec3<double> velocity = order(0) + (2.0 * middle) * order(1) + (3.0 * middle * middle) * order(2);
+        const double speed_variation =
+            half * root(norm2(2.0 * order(1) + (6.0 * middle) * order(2))) + 3.0 * half * half * root(norm2(order(2)));
+        displacement_ = duration * velocity;
+        variation_ = duration * speed_variation;
+        for (int k = 0; k < 3; ++k) {
+            const double power = (k == 0 ? 1.0 : k == 1 ? 2.0 * end : 3.0 * end * end) * duration;
+            const double* const r = path + 17 + 3 * k;
+            angle_ += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+        }
+    }
+    /// Length of a particle's path [m]. One that moves along with the obstacle hardly moves. `arm` is the vector from the
+    /// obstacle to the particle. A jaw rotates about its gripper, whose distance is the lever.
+    double length(Vec3<double> from, Vec3<double> to, Vec3<double> arm, Vec3<double> lever) const {
+        const double translation = root(norm2(to - from - displacement_)) + variation_;
+        return translation + angle_ * (root(norm2(arm)) + root(norm2(lever)) + translation);
+    }
+
+private:
+    Vec3<double> displacement_;
+    double variation_, angle_ = 0.0;
+};
+
 /// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1, `duration` [s] later.
 /// Conservative advancement: a particle cannot reach the surface before its relative motion equals its gap. Each step
 /// along the path is one gap long; then the gap is measured again.
 bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
     const std::int64_t n = plan.count;
     const double min_step = 1e-3 * plan.contacts.thickness;
+    const auto at = [n](const double* x, std::int64_t i) { return Vec3<double>{x[i], x[n + i], x[2 * n + i]}; };
     bool intersects = false;
-    for_each_near(plan, t, x0, nullptr, none, any_distance, [&](const ObstacleContact& contact) {
-        if (intersects) return;
-        const double* const path = plan.contacts.path(contact.obstacle);
-        const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];
-        const std::int64_t i = contact.particle;
-        const Vec3<double> from{x0[i], x0[n + i], x0[2 * n + i]}, to{x1[i], x1[n + i], x1[2 * n + i]};
-        // Upper bound of the motion of the particle relative to the obstacle, whose position is a cubic in time:
-        // relative velocity halfway plus the variation of the obstacle's velocity. A particle that moves along with the
-        // obstacle hardly moves.
-        const auto order = [&](int k) { return Vec3<double>{path[4 + 3 * k], path[5 + 3 * k], path[6 + 3 * k]}; };
-        const double half = 0.5 * duration, middle = t + half - path[0], end = t + duration - path[0];
-        const Vec3<double> velocity = order(0) + (2.0 * middle) * order(1) + (3.0 * middle * middle) * order(2);
-        const double speed_variation =
-            half * root(norm2(2.0 * order(1) + (6.0 * middle) * order(2))) + 3.0 * half * half * root(norm2(order(2)));
-        double path_length = root(norm2(to - from - duration * velocity)) + duration * speed_variation,
-               path_angle = 0.0;
-        for (int k = 0; k < 3; ++k) {
-            const double power = (k == 0 ? 1.0 : k == 1 ? 2.0 * end : 3.0 * end * end) * duration;
-            const double* const r = path + 17 + 3 * k;
-            path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+    // Only a particle whose path is longer than its gap can hit. The longest path saves the search of far meshes.
+    double longest = 0.0;
+    const auto measure_paths = [&](std::int64_t obstacle, const PosedObstacle<double>& posed) {
+        const RelativeMotion motion(plan.contacts.path(obstacle), t, duration);
+        longest = 0.0;
+        for (std::int64_t i = 0; i < n; ++i) {
+            const Vec3<double> from = at(x0, i);
+            const double length = motion.length(from, at(x1, i), from - posed.position, posed.lever);
+            if (!(length <= longest)) longest = length < no_gap<double> ? length : no_gap<double>;
         }
-        // A jaw rotates about its gripper.
-        path_length += path_angle * (root(norm2(contact.arm)) + root(norm2(contact.posed.lever)) + path_length);
+        return intersects;
+    };
+    const auto reach = [&](double) { return 1.001 * longest + min_step; };
+    for_each_near(plan, t, x0, nullptr, measure_paths, reach, [&](const ObstacleContact& contact) {
+        if (intersects) return;
+        const RelativeMotion motion(plan.contacts.path(contact.obstacle), t, duration);
+        const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];
+        const Vec3<double> from = at(x0, contact.particle), to = at(x1, contact.particle);
+        const double path_length = motion.length(from, to, contact.arm, contact.posed.lever);
         if (contact.gap > path_length) return;
         for (double fraction = 0.0, gap = contact.gap; fraction < 1.0 && !intersects;) {
             fraction = smaller(fraction + larger(gap, min_step) / path_length, 1.0);
