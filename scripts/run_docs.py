@@ -33,7 +33,7 @@ import attrs
 from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).resolve().parent.parent
-TUTORIALS = ("grasp", "robot_gripper", "robot", "camera", "mujoco", "mesh", "session", "library")
+TUTORIALS = ("grasp", "robot_gripper", "robot", "robot_fold", "camera", "mujoco", "mesh", "session", "library")
 PAGES = ["README.md", *(f"docs/tutorials/{name}.md" for name in TUTORIALS)]
 PAGES += ["CONTRIBUTING.md"]
 RUNS = ("bash", "python")

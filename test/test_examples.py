@@ -173,6 +173,38 @@ def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.Mon
     assert simulation.positions[:, 0].max() > 0.25 + 0.7 * (pulled - closed)
 
 
+def test_arm_of_seven_joints_folds_the_towel(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy")
+    import numpy as np
+
+    from cloth_sim_ros import MoveObstacles
+    from cloth_sim_ros.scene.parameters import parameter_file
+    from cloth_sim_ros.scene.robot.links import add_links, with_poses, without_links
+    from cloth_sim_ros.scene.robot.pad_stops import PadStops
+
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import fold_towel
+
+    values = parameter_file.read(ROOT / "config" / "robot_fold.yaml", strict=True)
+    alone = Scene.from_parameters(without_links(values), folder=ROOT / "config")
+    description = (ROOT / "config" / "arm_7.urdf").read_bytes()
+    extended, files, links = add_links(alone, values, description, folder=ROOT / "config")
+    joints = fold_towel.path(links)
+    times = np.arange(1.0, fold_towel.WAYPOINTS[-1, 0], 1.0 / 60.0)
+    assert np.abs(joints(times, 1)).max() < 2.2  # the slowest joint's limit [rad/s]
+    scene = Scene.from_parameters(with_poses(extended, links, links.poses(joints(0.0))), files=files)
+    simulation, stops = Simulation(scene), PadStops(scene, links)
+    right, left = (simulation.positions[:, 0] * sign > 0.149 for sign in (1.0, -1.0))
+    for t in times:
+        poses = links.poses(stops.stopped(joints(t)))
+        assert not simulation.advance([MoveObstacles(links.names, poses)]).stopped
+    # One edge lies on the other one, and nobody holds it.
+    edges = [simulation.positions[edge].mean(axis=0) for edge in (right, left)]
+    assert abs(edges[0] - edges[1])[:2].max() < 0.03
+    assert edges[0][2] > edges[1][2] + 0.5 * scene.contact.thickness
+    assert np.abs(simulation.velocities).max() < 0.2
+
+
 def test_pick_node_holds_the_towel_until_it_opens(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
