@@ -4,9 +4,11 @@
 
 import numpy as np
 import pytest
+import trimesh
 from support.contact_scenes import SHAPES, THICKNESS, contact, moving, points_near, still
 from support.laws import pose
 
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities
 from cloth_sim_ros.physics.plan.plan import compile
@@ -41,6 +43,36 @@ def test_particle_hits_an_obstacle_on_its_path(shape):
             continue
         assert plan.contact.ccd_hits(START, DURATION, start, end, memory={}) == (gap < 0.0), (seed, gap)
         met += gap < 0.0
+    assert 0 < met < 16
+
+
+def block():
+    """Return a mesh of the shape "box"."""
+    made = trimesh.creation.box(SHAPES["box"].size)
+    return Obstacle(name="block", shape="mesh", vertices=made.vertices, triangles=np.array(made.faces))
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "mesh"])
+def test_particles_together_hit_as_each_alone(name):
+    rng, count, shape = np.random.default_rng(len(name)), 24, SHAPES.get(name) or block()
+    met = 0
+    for seed in range(16):
+        path = moving(seed)
+        together = compile(Model(np.ones(count), [contact(shape, paths=[path])]))
+        alone = compile(Model([1.0], [contact(shape, paths=[path])]))
+        start = points_near(SHAPES.get(name, SHAPES["box"]), path, START, count, rng, deepest=1.5, farthest=20.0)
+        sizes = THICKNESS * 10.0 ** rng.uniform(-1.5, 0.8 + 0.01 * seed, size=count)
+        along = start + DURATION * rigid_velocities(path, START, DURATION, start)
+        end = along + rng.normal(size=(3, count)) * sizes
+        hits = [
+            alone.contact.ccd_hits(START, DURATION, start[:, [i]].copy(), end[:, [i]].copy(), memory={})
+            for i in range(count)
+        ]
+        assert together.contact.ccd_hits(START, DURATION, start, end, memory={}) == any(hits), seed
+        # A path that is no number counts as a hit.
+        end[1, seed] = np.nan
+        assert together.contact.ccd_hits(START, DURATION, start, end, memory={})
+        met += any(hits)
     assert 0 < met < 16
 
 
