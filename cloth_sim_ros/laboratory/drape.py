@@ -66,7 +66,7 @@ class DrapeTest:
     #: Static and kinetic coefficients of friction between specimen and plate.
     friction: tuple[float, float] = (0.4, 0.3)
     #: Distance from the specimen's middle surface within which a plate acts [m].
-    thickness: float = 0.0005
+    thickness: float = 0.0007
     #: Time during which the load grows [s].
     loading_time: float = 1.2
 
