@@ -79,6 +79,12 @@ def test_series_states_mean_mesh_error_and_real_value() -> None:
     assert "error of the mesh" in text
 
 
+def test_series_by_contact_has_no_mesh_error() -> None:
+    series = drape_series(fabric(2e-6), attrs.evolve(COARSE, edge_length=0.012, contact=True), seeds=[0])
+    assert series.mesh_error is None
+    assert "contact with the plate" in describe(series)
+
+
 def test_plate_larger_than_the_specimen_is_refused() -> None:
     with pytest.raises(LaboratoryError, match="plate"):
         DrapeTest(diameter=0.1, plate_diameter=0.18)
