@@ -100,8 +100,8 @@ def drape_series(
         sample: the fabric.
         test: conditions of the test.
         seeds: seed of each specimen.
-        with_mesh_error: true to drape coarser meshes too. Specimens in contact have none: the plates of a coarser mesh are
-            larger, and the shape of the finer one would begin in them.
+        with_mesh_error: true to drape coarser meshes too, unless specimens are in contact. The plates of a coarser mesh
+            are larger, and the finer one's shape would begin in them.
         on_progress: called after each drape.
     """
 
