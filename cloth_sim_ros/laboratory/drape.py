@@ -11,7 +11,8 @@ Supports are lowered slowly in the test; here gravity grows slowly. Folds then f
 A small random offset of each particle chooses among the possible ones.
 
 A held plate holds the particles up to half a row beyond its edge. Hinges at the last held ring stand for the curvature
-of half a row on either side. The sheet is therefore clamped half a row before that ring, at the edge.
+of half a row on either side. The sheet is therefore clamped half a row before that ring, at the edge. Plates in contact
+end near that ring for the same reason. docs/laboratory.md describes what their edges do.
 """
 
 from __future__ import annotations
@@ -34,10 +35,16 @@ DIAMETER, PLATE_DIAMETER = 0.30, 0.18
 EDGE_LENGTH, CONTACT_EDGE_LENGTH = 0.005, 0.0075
 #: Ratio of the sides of the coarser and the finer mesh of an estimate of the mesh error.
 COARSENING = 1.5
+#: Drag of the air in which the loaded specimen comes to rest [1/s]: near twice the frequency of a hanging overhang.
+_SETTLING_DRAG = 16.0
 #: Standard deviation of a particle's height at the beginning [m].
 _PERTURBATION = 1e-4
 #: Height of a plate [m], and sides of the specimen on which plates lie.
-_PLATE_HEIGHT, _PLATES = 0.02, {"plate": -1.0, "cover": 1.0}
+_PLATE_HEIGHT, _PLATES = 0.004, {"plate": -1.0, "cover": 1.0}
+#: Distance of the outermost ring from the plate's edge, and of the middle surface from the plate's face, over the
+#: thickness. An edge acts within half the thickness; at this distance no slope of the overhang comes so near. At 0.98
+#: the specimen rests under its weight, and the cover bears on it as much.
+_EDGE_DISTANCE, _FACE_DISTANCE = 0.5, 0.98
 
 
 @attrs.frozen(kw_only=True)
@@ -58,8 +65,8 @@ class DrapeTest:
     contact: bool = False
     #: Static and kinetic coefficients of friction between specimen and plate.
     friction: tuple[float, float] = (0.4, 0.3)
-    #: Distance of the specimen's middle surface from both plates [m].
-    thickness: float = 0.001
+    #: Distance from the specimen's middle surface within which a plate acts [m].
+    thickness: float = 0.0007
     #: Time during which the load grows [s].
     loading_time: float = 1.2
 
@@ -69,8 +76,7 @@ class DrapeTest:
                 f"the plate's diameter is {self.plate_diameter:g} m; it must be between 0 and that of the specimen, "
                 f"{self.diameter:g} m"
             )
-        # A held ring lies half a row beyond the edge. Two edges then remain on either side.
-        longest = min(self.plate_radius / 2.0, (self.radius - self.plate_radius) / (2.0 + 0.5 * ROW))
+        longest = self.max_edge_length
         if not 0.0 < self.edge_length <= longest:
             raise LaboratoryError(
                 f"the mesh's edges are {self.edge_length:g} m long; they must be above 0 and at most {longest:.3g} m "
@@ -86,6 +92,16 @@ class DrapeTest:
     def plate_radius(self) -> float:
         """Radius of the plate [m]."""
         return 0.5 * self.plate_diameter
+
+    @property
+    def max_edge_length(self) -> float:
+        """Longest edge [m]: two edges remain between the outermost ring on the plate and the border or the centre."""
+        return min(self.plate_radius / 2.0, (self.radius - self.plate_radius) / (2.0 + 0.5 * ROW))
+
+    @property
+    def ring_radius(self) -> float:
+        """Radius of the outermost ring of particles on the plate, half a row beyond its edge [m]."""
+        return self.plate_radius + 0.5 * ROW * self.edge_length
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -125,7 +141,7 @@ def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape 
         LaboratoryError: for a mesh that does not fit the specimen.
         ParameterError: for a fabric that a mesh can't have.
     """
-    ring_radius = test.plate_radius if test.contact else test.plate_radius + 0.5 * ROW * test.edge_length
+    ring_radius = test.ring_radius
     mesh = disc_mesh(test.radius, ring_radius, test.edge_length, pattern=test.pattern, seed=seed)
     values: dict[str, object] = {"cloth.mesh": "specimen.obj", "cloth.orientation": [0.0, 0.0, 0.0, 1.0]}
     values |= {"cloth.position": [0.0, 0.0, 0.0]}
@@ -142,7 +158,7 @@ def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape 
     else:
         positions = _resampled(start, mesh, held)
     loading_time = test.loading_time if start is None else 0.0
-    equilibrium = find_equilibrium(scene, positions, loading_time=loading_time)
+    equilibrium = find_equilibrium(scene, positions, loading_time=loading_time, drag=_SETTLING_DRAG)
     return Drape(
         test=test,
         seed=seed,
@@ -175,8 +191,8 @@ def _plate_parameters(test: DrapeTest) -> dict[str, object]:
     for name, sign in _PLATES.items():
         values |= {
             f"{name}.shape": "cylinder",
-            f"{name}.size": [test.plate_radius, _PLATE_HEIGHT],
-            f"{name}.position": [0.0, 0.0, sign * (0.5 * _PLATE_HEIGHT + test.thickness)],
+            f"{name}.size": [test.ring_radius - _EDGE_DISTANCE * test.thickness, _PLATE_HEIGHT],
+            f"{name}.position": [0.0, 0.0, sign * (0.5 * _PLATE_HEIGHT + _FACE_DISTANCE * test.thickness)],
             f"{name}.friction": list(test.friction),
         }
     return values
@@ -191,6 +207,5 @@ def _resampled(start: Drape, mesh: DiscMesh, held: NDArray[np.bool_]) -> Array:
     # Between the chords of the border and the border.
     outside = np.isnan(positions).any(axis=1)
     positions[outside] = NearestNDInterpolator(points, moved)(mesh.points[outside])
-    if not start.test.contact:
-        positions[held] = np.column_stack([mesh.points[held], np.zeros(int(held.sum()))])
+    positions[held] = np.column_stack([mesh.points[held], np.zeros(int(held.sum()))])
     return positions

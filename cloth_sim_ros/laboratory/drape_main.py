@@ -55,7 +55,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the first specimen (default 0)")
     contact = "let the specimen lie on the plate by contact and friction; default: it is held there"
     parser.add_argument("--contact", action="store_true", help=contact)
-    parser.add_argument("--no-mesh-error", action="store_true", help="omit the drapes of coarser meshes")
+    parser.add_argument(
+        "--no-mesh-error", action="store_true", help="omit the drapes of coarser meshes; contact has none"
+    )
     picture = "contour and view of the first specimen; needs matplotlib"
     parser.add_argument("--picture", type=Path, metavar="OUT.png", help=picture)
     return parser

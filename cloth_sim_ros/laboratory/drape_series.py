@@ -100,14 +100,15 @@ def drape_series(
         sample: the fabric.
         test: conditions of the test.
         seeds: seed of each specimen.
-        with_mesh_error: true to drape coarser meshes too.
+        with_mesh_error: true to drape coarser meshes too, unless specimens are in contact. The plates of a coarser mesh
+            are larger, and the finer one's shape would begin in them.
         on_progress: called after each drape.
     """
 
     def drape_specimen(seed: int) -> tuple[Drape, Drape | None]:
         fine = drape(sample, test, seed=seed)
         on_progress()
-        coarse = coarser_drape(sample, fine) if with_mesh_error else None
+        coarse = coarser_drape(sample, fine) if with_mesh_error and not test.contact else None
         return fine, coarse
 
     workers = max(1, min(len(seeds), len(os.sched_getaffinity(0))))

@@ -60,6 +60,7 @@ def find_equilibrium(
     *,
     loading_time: float = 0.0,
     drag: float = RELAXATION_DRAG,
+    loading_drag: float = RELAXATION_DRAG,
     max_residual: float = MAX_RESIDUAL,
     max_time: float = 30.0,
 ) -> Equilibrium:
@@ -69,7 +70,8 @@ def find_equilibrium(
         scene: the cloth; its anchors and obstacles stay where they are.
         start: positions at the beginning, those of anchored particles included [m], shape (n, 3); None for the scene's.
         loading_time: time during which gravity grows from zero to its value [s].
-        drag: rate at which the air damps velocities [1/s].
+        drag: rate at which the air damps velocities once the load is complete [1/s].
+        loading_drag: rate while the load grows [1/s].
         max_residual: largest residual of the result.
         max_time: simulated time after which the relaxation ends [s].
 
@@ -83,7 +85,7 @@ def find_equilibrium(
         )
     gravity = scene.gravity
     first = _scaled(gravity, 0.0) if loading_time else gravity
-    still = {"air.drag": drag, "wind.normal_drag": 0.0, "wind.tangential_drag": 0.0}
+    still = {"air.drag": loading_drag if loading_time else drag, "wind.normal_drag": 0.0, "wind.tangential_drag": 0.0}
     quick = {"integrator": "leapfrog", "tolerance": 0.0, "step": 0.0, "work_limit": 0.0, "diagnostics.energy": False}
     relaxing = scene.changed({**still, **quick, "gravity": first})
     state = relaxing.starting_state()
@@ -96,10 +98,12 @@ def find_equilibrium(
         residual = math.inf
         for frame in range(math.ceil(max_time * scene.rate)):
             events = []
+            if frame == n_loading > 0:
+                events.append(SetParameters({"air.drag": drag}))
             if frame < n_loading:
                 events.append(SetParameters({"gravity": _scaled(gravity, (frame + 1) / n_loading)}))
             simulation.advance(events)
-            if frame + 1 >= n_loading:
+            if frame >= n_loading:
                 residual = out_of_balance(simulation.plan, simulation.state, simulation.time, drag)
                 if residual < max_residual:
                     break

@@ -52,6 +52,15 @@ def test_contact_with_the_plate_resembles_a_held_specimen() -> None:
     assert np.abs(draped_by_contact.positions[middle, 2]).max() < 0.001
 
 
+def test_contact_agrees_with_a_held_specimen_of_its_folds() -> None:
+    sample = fabric(2e-5)
+    by_contact = drape(sample, attrs.evolve(COARSE, contact=True))
+    held = drape(sample, COARSE, start=by_contact)
+    assert by_contact.is_converged
+    assert by_contact.shadow.nodes == held.shadow.nodes
+    assert by_contact.coefficient == pytest.approx(held.coefficient, abs=0.015)
+
+
 def test_coarser_drape_keeps_the_folds() -> None:
     sample = fabric(2e-5)
     fine = drape(sample, attrs.evolve(COARSE, edge_length=0.0125))
@@ -68,6 +77,12 @@ def test_series_states_mean_mesh_error_and_real_value() -> None:
     text = describe(series)
     assert "real fabric        34.9 %" in text
     assert "error of the mesh" in text
+
+
+def test_series_by_contact_has_no_mesh_error() -> None:
+    series = drape_series(fabric(2e-6), attrs.evolve(COARSE, edge_length=0.012, contact=True), seeds=[0])
+    assert series.mesh_error is None
+    assert "contact with the plate" in describe(series)
 
 
 def test_plate_larger_than_the_specimen_is_refused() -> None:

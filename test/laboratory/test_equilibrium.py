@@ -49,6 +49,16 @@ def test_loading_time_does_not_change_a_single_equilibrium() -> None:
     assert np.abs(fast.positions - slow.positions).max() < 1e-6
 
 
+def test_drag_acts_once_the_load_is_complete() -> None:
+    # Both move alike while the load grows. The times differ because oscillations decay at half of the drag.
+    scene = sheet()
+    slow, fast = (find_equilibrium(scene, loading_time=0.1, drag=drag, max_residual=1e-5) for drag in (4.0, 16.0))
+    assert slow.is_converged
+    assert fast.is_converged
+    assert fast.time < 0.7 * slow.time
+    assert np.abs(fast.positions - slow.positions).max() < 1e-6
+
+
 def test_start_moves_anchored_particles() -> None:
     scene = sheet(**{"gravity": [0.0, 0.0, 0.0]})
     start = scene.initial_positions() + np.array([0.0, 0.0, 0.05])
