@@ -244,6 +244,12 @@ CLOTH_INLINE V shift(V previous, V next) {
     }(std::make_integer_sequence<int, L>{});
 }
 
+/// The vector that begins N lanes after one, of which `next` has the last N: a shift by N columns to the right.
+template <int N, class V>
+CLOTH_INLINE V ahead(V current, V next) {
+    return shift<static_cast<int>(sizeof(V) / sizeof(scalar<V>)) - N>(current, next);
+}
+
 // Particles are quads, laws need vectors of x, y and z: convert `lanes` quads to three vectors, and back. Vectors are
 // groups of four lanes, and each group of four rows is transposed.
 template <int L>

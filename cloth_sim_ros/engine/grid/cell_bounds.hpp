@@ -90,7 +90,7 @@ class CurvatureBounds {
 public:
     CurvatureBounds() = default;
     CurvatureBounds(const Grid& grid, const List& list)
-        : time_(list.common[0]), pitch_(row_pitch<double>(grid.columns)) {
+        : time_(list.common[0]), pitch_(row_pitch<double>(grid.columns)), length_(row_length<double>(grid.columns)) {
         std::vector<std::vector<double>> terms(grid.count());
         for (std::int64_t e = 0; e < list.count; ++e) {
             const double* const numbers = list.params.data() + e * list.numbers;
@@ -118,7 +118,7 @@ public:
         using V = vec<double>;
         const double *const first = numbers_.data() + entry_[row], *const last = first + size_[row];
         const V time = splat<V>(time_);
-        for (std::int64_t j = 0; j < pitch_; j += lanes<double>) {
+        for (std::int64_t j = 0; j < length_; j += lanes<double>) {
             V k[3], c[3];
             for (int axis = 0; axis < 3; ++axis) k[axis] = load(to.stiff(axis) + j), c[axis] = load(to.damp(axis) + j);
             for (const double* terms = first; terms < last; terms += pitch_) {
@@ -131,7 +131,7 @@ public:
 
 private:
     double time_ = 0.0;
-    std::int64_t pitch_ = 0;
+    std::int64_t pitch_ = 0, length_ = 0;
     Array<double> numbers_;
     std::vector<std::size_t> entry_, size_;
 };

@@ -49,15 +49,19 @@ public:
                 numbers_.resize(numbers_.size() + pitch - grid.columns, T(0));
             }
             entry_.push_back(static_cast<std::int64_t>(numbers_.size()) - pitch);
+            has_cells_.push_back(std::any_of(from, from + grid.columns, [](T share) { return share > T(0); }));
         }
         numbers_.resize(numbers_.size() + 64 / sizeof(T), T(0));
     }
     bool empty() const { return entry_.empty(); }
     const T* of(std::int64_t row) const { return numbers_.data() + entry_[row]; }
+    /// The same, or null for a row without cells.
+    const T* cells_of(std::int64_t row) const { return has_cells_[row] ? of(row) : nullptr; }
 
 private:
     Array<T> numbers_;
     std::vector<std::int64_t> entry_;
+    std::vector<char> has_cells_;
 };
 
 }  // namespace cloth::grid

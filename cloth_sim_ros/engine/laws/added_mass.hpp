@@ -40,6 +40,13 @@ struct AddedMass {
         r.length = select(has_area, length, V{});
         return r;
     }
+    /// The same of a known N and its length, or 0 without a normal.
+    template <class V>
+    static CLOTH_INLINE Normal<V> normal(Vec3<V> a, Vec3<V> b, Vec3<V> n, V length) {
+        const auto has_area = length > V{};
+        const V unit = splat<V>(1) / select(has_area, length, splat<V>(1));
+        return {a, b, select(has_area, unit, V{}) * n, length};
+    }
     /// rho / (2 corners), so that a corner carries `share` |N|; `corner_share` is 1 / corners, or 0 without a panel.
     template <class V>
     static CLOTH_INLINE V share(const Params<V>& p, V corner_share) {
