@@ -135,7 +135,9 @@ struct AddedMass {
             for (int j = 0; j < i; ++j) longest = larger(longest, norm2(d[i] - d[j]));
         }
         const V square = norm2(p.wind), diameter = root(longest);
-        const V area = larger(normal(d).length, splat<V>(scalar<V>(1e-3)) * longest);
+        // A panel whose corners coincide has no bound, rather than 0 / 0.
+        const V floor = larger(splat<V>(scalar<V>(1e-3)) * longest, splat<V>(scalar<V>(min_area)));
+        const V area = larger(normal(d).length, floor);
         const V corner = splat<V>(scalar<V>(1) / Corners) * p.density;
         const V stiff = splat<V>(3) * corner * square * longest / area, damp = corner * root(square) * diameter;
         for (int i = 0; i < Corners; ++i) b[i] = {Sym3<V>{}, Sym3<V>{damp, damp, damp, V{}, V{}, V{}}, V{}, stiff};

@@ -11,8 +11,8 @@
 
 #include "contact/layer_anchors.hpp"
 #include "contact/obstacles.hpp"
-#include "grid/cell_bounds.hpp"
 #include "grid/cells.hpp"
+#include "grid/curvature_bounds.hpp"
 #include "grid/differences.hpp"
 #include "grid/stencils.hpp"
 #include "mesh/elements.hpp"

@@ -6,6 +6,7 @@
 #pragma once
 
 #include "grid/bounds.hpp"
+#include "grid/cell_bounds.hpp"
 #include "laws/added_mass.hpp"
 #include "mesh/queries.hpp"
 #include "plan/plan.hpp"
@@ -26,14 +27,28 @@ inline double largest_or_nan(const double* numbers, std::int64_t count) {
     return has_nan ? __builtin_nan("") : max;
 }
 
+/// Store the stiffness that each quadratic hinge of `curvature_list` adds to its particles, in the list's order.
+inline void make_curvature_terms(Plan& plan) {
+    const List& list = plan.lists[plan.curvature_list];
+    std::vector<std::vector<double>> terms(plan.count);
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const double* const numbers = list.params.data() + e * list.numbers;
+        const auto params = laws::law_params<laws::QuadraticHinge, double>(numbers, list.common);
+        const Vec3<double> anywhere[3]{};
+        Bound<double> bounds[4];
+        laws::QuadraticHinge::bounds(params, anywhere, bounds);
+        for (int c = 0; c < 4; ++c) terms[list.corners[e * list.width + c]].push_back(bounds[c].stiff.xx);
+    }
+    plan.curvature_terms = CurvatureBounds(*plan.grid, list.common[0], terms);
+}
+
 /// Bounds of the lists that rows evaluate as `add_list_bounds` does: panels, added mass and quadratic hinges.
 class RowBounds {
 public:
     RowBounds(Plan& plan, const PaddedRows<double>& positions) : plan_(plan) {
         if (plan.air_in_order) air_.emplace(*plan.grid, plan.cell_table<double>(), plan.cells_air(), positions);
         if (plan.mass_in_order) mass_.emplace(*plan.grid, plan.mass_table<double>(), plan.cells_mass(), positions);
-        if (plan.curvature_list >= 0 && plan.curvature_terms.empty())
-            plan.curvature_terms = CurvatureBounds(*plan.grid, plan.lists[plan.curvature_list]);
+        if (plan.curvature_list >= 0 && plan.curvature_terms.empty()) make_curvature_terms(plan);
     }
     static bool covers(const Plan& plan, std::size_t list) {
         const auto k = static_cast<std::int64_t>(list);
