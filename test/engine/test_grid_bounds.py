@@ -88,9 +88,9 @@ def test_refined_bounds_by_rows_have_the_bits_of_lists(names):
 
 @pytest.mark.parametrize("order", [[1, 2, 3, 0], [3, 2, 1, 0]])
 def test_bounds_of_cells_in_another_order_are_close(order):
-    rows, other = (compile(sheet((7, 38), "mass drag", order=of)[0]) for of in (None, order))
+    rows, rotated = (compile(sheet((7, 38), "mass drag", order=of)[0]) for of in (None, order))
     x = sheet((7, 38))[1]
-    assert rows.spectral_bounds(x) == pytest.approx(other.spectral_bounds(x), rel=1e-12)
+    assert rows.spectral_bounds(x) == pytest.approx(rotated.spectral_bounds(x), rel=1e-12)
 
 
 def test_bounds_by_rows_include_grips():

@@ -244,9 +244,9 @@ CLOTH_INLINE V shift(V previous, V next) {
     }(std::make_integer_sequence<int, L>{});
 }
 
-/// The vector that begins N lanes after one, of which `next` has the last N: a shift by N columns to the right.
+/// All lanes of one vector but the first N, then the first N of the next.
 template <int N, class V>
-CLOTH_INLINE V ahead(V current, V next) {
+CLOTH_INLINE V shift_left(V current, V next) {
     return shift<static_cast<int>(sizeof(V) / sizeof(scalar<V>)) - N>(current, next);
 }
 

@@ -13,13 +13,13 @@ using mesh::PowerSums;
 
 /// Points N columns ahead.
 template <int N, class V>
-CLOTH_INLINE Vec3<V> ahead_of(const Vec3<V>& a, const Vec3<V>& next) {
-    return {ahead<N>(a.x, next.x), ahead<N>(a.y, next.y), ahead<N>(a.z, next.z)};
+CLOTH_INLINE Vec3<V> shifted_left(const Vec3<V>& a, const Vec3<V>& next) {
+    return {shift_left<N>(a.x, next.x), shift_left<N>(a.y, next.y), shift_left<N>(a.z, next.z)};
 }
 template <int N, class V>
-CLOTH_INLINE SplitPosition<V> ahead_of(const SplitPosition<V>& a, const SplitPosition<V>& next) {
-    const Vec3<V> low = sizeof(scalar<V>) == 8 ? Vec3<V>{} : ahead_of<N>(a.low, next.low);
-    return {ahead_of<N>(a.high, next.high), low};
+CLOTH_INLINE SplitPosition<V> shifted_left(const SplitPosition<V>& a, const SplitPosition<V>& next) {
+    const Vec3<V> low = sizeof(scalar<V>) == 8 ? Vec3<V>{} : shifted_left<N>(a.low, next.low);
+    return {shifted_left<N>(a.high, next.high), low};
 }
 
 /// Add the forces of a row's differences; record the dissipation if Record. `rows`: sums of forces on this row and the
@@ -62,8 +62,8 @@ CLOTH_SCHEDULED void accumulate_differences(const RowView<T>& row_view, const T*
             auto x00 = current[0], x10 = current[1], x01 = x00, x02 = x00, x11 = x00;
             if constexpr (sizeof(T) == 8) {
                 current[0] = point(0, j + lanes<T>), current[1] = point(1, j + lanes<T>);
-                x01 = ahead_of<1>(x00, current[0]), x02 = ahead_of<2>(x00, current[0]);
-                x11 = ahead_of<1>(x10, current[1]);
+                x01 = shifted_left<1>(x00, current[0]), x02 = shifted_left<2>(x00, current[0]);
+                x11 = shifted_left<1>(x10, current[1]);
             } else {
                 x00 = point(0, j), x10 = point(1, j);
                 x01 = point(0, j + 1), x02 = point(0, j + 2), x11 = point(1, j + 1);
