@@ -244,6 +244,12 @@ CLOTH_INLINE V shift(V previous, V next) {
     }(std::make_integer_sequence<int, L>{});
 }
 
+/// All lanes of one vector but the first N, then the first N of the next.
+template <int N, class V>
+CLOTH_INLINE V shift_left(V current, V next) {
+    return shift<static_cast<int>(sizeof(V) / sizeof(scalar<V>)) - N>(current, next);
+}
+
 // Particles are quads, laws need vectors of x, y and z: convert `lanes` quads to three vectors, and back. Vectors are
 // groups of four lanes, and each group of four rows is transposed.
 template <int L>

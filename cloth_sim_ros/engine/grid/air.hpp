@@ -15,10 +15,16 @@ using laws::law_params, laws::Panel, mesh::PowerSums;
 /// Zeros between the components of a row of cells, and before the first, for reads left of the first cell.
 template <class T>
 inline constexpr std::int64_t air_gap = 64 / sizeof(T);
-/// Size of the data of a row of cells: area vectors, normal and tangential coefficients.
+/// Data of a row of cells: area vectors and their lengths, normal and tangential coefficients.
+enum AirSlot : int { area_vector, normal_drag = 3, tangential_drag, area_length, air_slots };
 template <class T>
 inline std::int64_t air_row_size(std::int64_t pitch) {
-    return air_gap<T> + 5 * (pitch + air_gap<T>);
+    return air_gap<T> + air_slots * (pitch + air_gap<T>);
+}
+/// Data of the cells below a row in two rows of cells.
+template <class T>
+inline T* air_cells(T* cell_rows, std::int64_t pitch, std::int64_t row) {
+    return cell_rows + air_gap<T> + (row & 1) * air_row_size<T>(pitch);
 }
 
 template <class T>
@@ -30,8 +36,8 @@ struct AirRow {
     std::ptrdiff_t pitch, cell_pitch, length;  ///< distances between components, of particles and of cells; see RowView
 };
 
-/// Tangential: whether there is drag along the surface.
-template <class T, bool Tangential>
+/// Tangential: whether there is drag along the surface. Lengths: whether lengths of area vectors are stored.
+template <class T, bool Tangential, bool Lengths>
 CLOTH_SCHEDULED void compute_cells(const AirRow<T>& row, const double* common) {
     using V = vec<T>;
     const AirRow<T> at = row;
@@ -45,8 +51,9 @@ CLOTH_SCHEDULED void compute_cells(const AirRow<T>& row, const double* common) {
             Panel<4>::shares(air, load(at.panel_share + j), point(1, 1) - point(0, 0), point(1, 0) - point(0, 1));
         T* const to = at.below + j;
         store(to, s.n.x), store(to + at.cell_pitch, s.n.y), store(to + 2 * at.cell_pitch, s.n.z);
-        store(to + 3 * at.cell_pitch, s.across);
-        if constexpr (Tangential) store(to + 4 * at.cell_pitch, s.along);
+        store(to + normal_drag * at.cell_pitch, s.across);
+        if constexpr (Tangential) store(to + tangential_drag * at.cell_pitch, s.along);
+        if constexpr (Lengths) store(to + area_length * at.cell_pitch, s.length);
     }
 }
 
@@ -65,9 +72,9 @@ CLOTH_SCHEDULED void add_air(const AirRow<T>& row, const double* common, PowerSu
         Vec3<V> f = three(to, at.pitch);
         V dissipation{}, external{};
         const auto add_cell = [&](const T* from) CLOTH_INLINED {
-            typename Panel<4>::template DragShares<V> s{three(from, at.cell_pitch), load(from + 3 * at.cell_pitch),
-                                                        V{}};
-            if constexpr (Tangential) s.along = load(from + 4 * at.cell_pitch);
+            typename Panel<4>::template DragShares<V> s{};
+            s.n = three(from, at.cell_pitch), s.across = load(from + normal_drag * at.cell_pitch);
+            if constexpr (Tangential) s.along = load(from + tangential_drag * at.cell_pitch);
             f = Panel<4>::add<Tangential>(s, u, f);
             if constexpr (!Record) return;
             dissipation = dissipation - dot(v, Panel<4>::add<Tangential>(s, v, Vec3<V>{}));
@@ -83,22 +90,25 @@ CLOTH_SCHEDULED void add_air(const AirRow<T>& row, const double* common, PowerSu
 }
 
 /// Process one row of cells, and add the drag to the force row if the row is `owned`. `cell_rows` holds two rows of
-/// cells, zero before the first. Rows are processed in order. Powers are recorded if `powers` is not null.
+/// cells, zero before the first. Rows are processed in order. Lengths of area vectors are stored if `has_mass`. Powers
+/// are recorded if `powers` is not null.
 template <class T>
 inline void add_air_row(const RowView<T>& at, const T* panel_share, const double* common, T* cell_rows,
-                        std::int64_t row, bool owned, PowerSums* powers) {
-    T *const even = cell_rows + air_gap<T>, *const odd = even + air_row_size<T>(at.pitch);
+                        std::int64_t row, bool owned, bool has_mass, PowerSums* powers) {
     const AirRow<T> row_data{{at.row[0] + position * at.pitch, at.row[1] + position * at.pitch},
                              at.row[0] + damping_velocity * at.pitch,
                              panel_share,
                              at.force_rows[0],
-                             row % 2 ? even : odd,
-                             row % 2 ? odd : even,
+                             air_cells(cell_rows, at.pitch, row + 1),
+                             air_cells(cell_rows, at.pitch, row),
                              at.pitch,
                              at.pitch + air_gap<T>,
                              at.length};
     const auto process = [&]<bool Along>(std::bool_constant<Along>) {
-        compute_cells<T, Along>(row_data, common);
+        if (has_mass)
+            compute_cells<T, Along, true>(row_data, common);
+        else
+            compute_cells<T, Along, false>(row_data, common);
         if (owned && powers)
             add_air<T, Along, true>(row_data, common, powers);
         else if (owned)

@@ -85,6 +85,8 @@ public:
         return sum;
     }
 
+    const PaddedRows<T>& positions() const { return positions_; }
+
     const bool damped;
     double unit_stiffness = 0.0, unit_damping = 0.0;
 
@@ -162,6 +164,14 @@ private:
     Array<T> numbers_;
 };
 
+/// Add a vector of numbers to those from `to` on, of which `left` remain.
+CLOTH_INLINE void add_numbers(double* to, vec<double> numbers, std::int64_t left) {
+    if (left >= lanes<double>)
+        store(to, load(to) + numbers);
+    else
+        for (std::int64_t k = 0; k < left; ++k) to[k] += numbers[k];
+}
+
 /// Add the blocks of all particles to stiff and damp, each (6, n), and the transverse part to `transverse` (n) or null.
 inline void add_grid_bounds(const Grid& grid, const GridTables<double>& tables, const double* x, double* stiff,
                             double* damp, double* transverse = nullptr) {
@@ -172,16 +182,15 @@ inline void add_grid_bounds(const Grid& grid, const GridTables<double>& tables, 
         for (std::int64_t j = 0; j < grid.columns; j += lanes<double>) {
             Sym3<vec<double>> k, c;
             bounds.of(row, j, k, c);
-            const vec<double> transverse_values = transverse ? bounds.transverse(row, j) : vec<double>{};
-            for (int lane = 0; lane < lanes<double> && j + lane < grid.columns; ++lane) {
-                const std::int64_t i = row * grid.columns + j + lane;
-                const auto block_of = [lane](const Sym3<vec<double>>& b) {
-                    return Sym3<double>{b.xx[lane], b.yy[lane], b.zz[lane], b.xy[lane], b.xz[lane], b.yz[lane]};
-                };
-                if (stiff) add_block(stiff, n, i, block_of(k));
-                if (damp && bounds.damped) add_block(damp, n, i, block_of(c));
-                if (transverse) transverse[i] += transverse_values[lane];
-            }
+            const std::int64_t i = row * grid.columns + j, left = grid.columns - j;
+            const auto add = [&](double* to, const Sym3<vec<double>>& b) {
+                add_numbers(to + i, b.xx, left), add_numbers(to + n + i, b.yy, left);
+                add_numbers(to + 2 * n + i, b.zz, left), add_numbers(to + 3 * n + i, b.xy, left);
+                add_numbers(to + 4 * n + i, b.xz, left), add_numbers(to + 5 * n + i, b.yz, left);
+            };
+            if (stiff) add(stiff, k);
+            if (damp && bounds.damped) add(damp, c);
+            if (transverse) add_numbers(transverse + i, bounds.transverse(row, j), left);
         }
     }
 }

@@ -33,6 +33,17 @@ inline std::vector<std::int64_t> cell_slots(const Grid& grid, const List& list) 
     return 3 * list.count >= 2 * all ? slots : std::vector<std::int64_t>{};
 }
 
+/// Whether the elements of a list are cells in the order of rows, each with its corners in order around it from the
+/// upper left one. `slots`: see `cell_slots`.
+inline bool are_cells_in_order(const Grid& grid, const List& list, const std::vector<std::int64_t>& slots) {
+    for (std::size_t e = 0; e < slots.size(); ++e) {
+        const std::int64_t first = slots[e], below = first + grid.columns, *const p = list.corners.data() + 4 * e;
+        if (p[0] != first || p[1] != first + 1 || p[2] != below + 1 || p[3] != below) return false;
+        if (e > 0 && slots[e - 1] >= first) return false;
+    }
+    return !slots.empty();
+}
+
 /// Share of a corner in the panel of each cell, in padded rows: 1/4, or 0 without a panel. Equal rows share one.
 template <class T>
 class CellTable {
@@ -49,15 +60,19 @@ public:
                 numbers_.resize(numbers_.size() + pitch - grid.columns, T(0));
             }
             entry_.push_back(static_cast<std::int64_t>(numbers_.size()) - pitch);
+            has_cells_.push_back(std::any_of(from, from + grid.columns, [](T share) { return share > T(0); }));
         }
         numbers_.resize(numbers_.size() + 64 / sizeof(T), T(0));
     }
     bool empty() const { return entry_.empty(); }
     const T* of(std::int64_t row) const { return numbers_.data() + entry_[row]; }
+    /// The same, or null for a row without cells.
+    const T* cells_of(std::int64_t row) const { return has_cells_[row] ? of(row) : nullptr; }
 
 private:
     Array<T> numbers_;
     std::vector<std::int64_t> entry_;
+    std::vector<char> has_cells_;
 };
 
 }  // namespace cloth::grid

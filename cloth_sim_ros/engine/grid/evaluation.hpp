@@ -82,8 +82,11 @@ public:
                 for (int k = 0; k < 3; ++k) curvature_rows[k] = curvature_forces + (row + k) % 3 * 3 * pitch_;
                 add_curvature_row(curvature_, row, at, curvature_rows, true, nullptr);
             }
-            if (!cells_.empty()) add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, true, nullptr);
-            if (!mass_cells_.empty()) add_mass_row(at, mass_cells_.of(row), plan_.cells_mass(), mass_rows);
+            if (!cells_.empty())
+                add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, true, !mass_cells_.empty(), nullptr);
+            const T* const cells_below = cells_.empty() ? nullptr : air_cells(cell_rows, pitch_, row);
+            if (!mass_cells_.empty())
+                add_mass_row(at, mass_cells_.cells_of(row), plan_.cells_mass(), cells_below, mass_rows);
             if (carries_air_ && off_grid_.has_prescribed()) off_grid_.hold_row(row, -1, at);
             step(at, constants, {}, true);
             for (int c = 0; !whole && c < 3; ++c)

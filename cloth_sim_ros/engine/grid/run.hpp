@@ -300,12 +300,15 @@ private:
             for (int k = 0; k < 3; ++k) curvature_rows[k] = at.force_rows[k] + (rings() - 1) * levels_ * 9 * pitch_;
             add_curvature_row(curvature_, row, at, curvature_rows, owned, powers);
         }
+        const T* cells_below = nullptr;
         if (!cells_.empty()) {
             T* const cell_rows =
                 force_rows_[b].data() + levels_ * rings() * 9 * pitch_ + 2 * level * air_row_size<T>(pitch_);
-            add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, owned, powers);
+            add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, owned, !mass_cells_.empty(), powers);
+            cells_below = air_cells(cell_rows, pitch_, row);
         }
-        if (!mass_cells_.empty()) add_mass_row(at, mass_cells_.of(row), plan_.cells_mass(), mass_rows);
+        if (!mass_cells_.empty())
+            add_mass_row(at, mass_cells_.cells_of(row), plan_.cells_mass(), cells_below, mass_rows);
         if (owned && carries_air_ && off_grid_.has_prescribed()) off_grid_.hold_row(row, step, at);
         step_row_(at, constants_, motion_of<T>(run_, step), owned);
         if (owned && off_grid_.has_prescribed())

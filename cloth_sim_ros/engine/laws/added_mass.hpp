@@ -40,6 +40,13 @@ struct AddedMass {
         r.length = select(has_area, length, V{});
         return r;
     }
+    /// The same of a known N and its length, or 0 without a normal.
+    template <class V>
+    static CLOTH_INLINE Normal<V> normal(Vec3<V> a, Vec3<V> b, Vec3<V> n, V length) {
+        const auto has_area = length > V{};
+        const V unit = splat<V>(1) / select(has_area, length, splat<V>(1));
+        return {a, b, select(has_area, unit, V{}) * n, length};
+    }
     /// rho / (2 corners), so that a corner carries `share` |N|; `corner_share` is 1 / corners, or 0 without a panel.
     template <class V>
     static CLOTH_INLINE V share(const Params<V>& p, V corner_share) {
@@ -128,7 +135,9 @@ struct AddedMass {
             for (int j = 0; j < i; ++j) longest = larger(longest, norm2(d[i] - d[j]));
         }
         const V square = norm2(p.wind), diameter = root(longest);
-        const V area = larger(normal(d).length, splat<V>(scalar<V>(1e-3)) * longest);
+        // A panel whose corners coincide has no bound, rather than 0 / 0.
+        const V floor = larger(splat<V>(scalar<V>(1e-3)) * longest, splat<V>(scalar<V>(min_area)));
+        const V area = larger(normal(d).length, floor);
         const V corner = splat<V>(scalar<V>(1) / Corners) * p.density;
         const V stiff = splat<V>(3) * corner * square * longest / area, damp = corner * root(square) * diameter;
         for (int i = 0; i < Corners; ++i) b[i] = {Sym3<V>{}, Sym3<V>{damp, damp, damp, V{}, V{}, V{}}, V{}, stiff};

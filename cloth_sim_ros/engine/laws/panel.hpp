@@ -23,11 +23,11 @@ struct Panel {
         V normal, tangential;
         Vec3<V> wind;
     };
-    /// 2 N, and the normal and tangential drag coefficients of a corner.
+    /// 2 N, the normal and tangential drag coefficients of a corner, and |2 N|, or 0 without a normal.
     template <class V>
     struct DragShares {
         Vec3<V> n;
-        V across, along;
+        V across, along, length;
     };
 
     /// Coefficients of a panel with 2 N = a x b; `corner_share` of a corner: 1 / corners, or 0 without a panel.
@@ -41,6 +41,7 @@ struct Panel {
         const V half = select(has_area, splat<V>(0.5) * corner_share, V{});
         r.across = half * (p.normal - p.tangential) / twice;
         r.along = half * p.tangential * twice;
+        r.length = select(has_area, twice, V{});
         return r;
     }
     template <class V>

@@ -12,6 +12,7 @@
 #include "contact/layer_anchors.hpp"
 #include "contact/obstacles.hpp"
 #include "grid/cells.hpp"
+#include "grid/curvature_bounds.hpp"
 #include "grid/differences.hpp"
 #include "grid/stencils.hpp"
 #include "mesh/elements.hpp"
@@ -27,8 +28,8 @@ struct FeatureContactModel;
 namespace cloth::plan {
 
 using mesh::is_mass, contact::Contacts, contact::FeatureContactModel, contact::layer_sides, contact::LayerAnchors,
-    contact::ReducedThickness, contact::SelfContact, grid::CurvatureTable, grid::Grid, grid::GridTables, grid::Mode,
-    grid::StepFactors, laws::anchor_numbers, laws::Scaling, mesh::List;
+    contact::ReducedThickness, contact::SelfContact, grid::CurvatureBounds, grid::CurvatureTable, grid::Grid,
+    grid::GridTables, grid::Mode, grid::StepFactors, laws::anchor_numbers, laws::Scaling, mesh::List;
 
 struct Plan {
     Plan();
@@ -52,6 +53,9 @@ struct Plan {
     /// particle [N/m], empty before the first query.
     std::int64_t curvature_list = -1;
     std::vector<double> curvature_bounds;
+    /// The same of each hinge, and whether the cells of the first two lists are in order, see `are_cells_in_order`.
+    CurvatureBounds curvature_terms;
+    bool air_in_order = false, mass_in_order = false;
     /// Rate of linear drag [1/s], accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Grips grips;
@@ -99,6 +103,7 @@ struct Plan {
         lists.push_back(std::move(list));
         slots.clear();
         curvature_bounds.clear();
+        curvature_terms = {};
         workspaces[0].has_tables = single_workspaces[0].has_tables = false;
     }
     /// Assign lists to rows of the grid: hinges, then springs between their wings, then the first list of panels.

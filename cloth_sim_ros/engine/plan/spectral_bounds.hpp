@@ -6,13 +6,15 @@
 #pragma once
 
 #include "grid/bounds.hpp"
+#include "grid/cell_bounds.hpp"
+#include "laws/added_mass.hpp"
 #include "mesh/queries.hpp"
 #include "plan/plan.hpp"
 #include "plan/queries.hpp"
 
 namespace cloth::plan {
 
-using grid::GridBounds, grid::largest_eigenvalue, laws::Bound, mesh::ElementState;
+using grid::BlockRow, grid::GridBounds, grid::largest_eigenvalue, grid::PaddedRows, laws::Bound, mesh::ElementState;
 
 /// Largest number of an array, or NaN if it contains one.
 inline double largest_or_nan(const double* numbers, std::int64_t count) {
@@ -25,9 +27,90 @@ inline double largest_or_nan(const double* numbers, std::int64_t count) {
     return has_nan ? __builtin_nan("") : max;
 }
 
+/// Store the stiffness that each quadratic hinge of `curvature_list` adds to its particles, in the list's order.
+inline void make_curvature_terms(Plan& plan) {
+    const List& list = plan.lists[plan.curvature_list];
+    std::vector<std::vector<double>> terms(plan.count);
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const double* const numbers = list.params.data() + e * list.numbers;
+        const auto params = laws::law_params<laws::QuadraticHinge, double>(numbers, list.common);
+        const Vec3<double> anywhere[3]{};
+        Bound<double> bounds[4];
+        laws::QuadraticHinge::bounds(params, anywhere, bounds);
+        for (int c = 0; c < 4; ++c) terms[list.corners[e * list.width + c]].push_back(bounds[c].stiff.xx);
+    }
+    plan.curvature_terms = CurvatureBounds(*plan.grid, list.common[0], terms);
+}
+
+/// Bounds of the lists that rows evaluate as `add_list_bounds` does: panels, added mass and quadratic hinges.
+class RowBounds {
+public:
+    RowBounds(Plan& plan, const PaddedRows<double>& positions) : plan_(plan) {
+        if (plan.air_in_order) air_.emplace(*plan.grid, plan.cell_table<double>(), plan.cells_air(), positions);
+        if (plan.mass_in_order) mass_.emplace(*plan.grid, plan.mass_table<double>(), plan.cells_mass(), positions);
+        if (plan.curvature_list >= 0 && plan.curvature_terms.empty()) make_curvature_terms(plan);
+    }
+    static bool covers(const Plan& plan, std::size_t list) {
+        const auto k = static_cast<std::int64_t>(list);
+        return k == plan.curvature_list || (k == plan.air_list && plan.air_in_order) ||
+               (k == plan.mass_list && plan.mass_in_order);
+    }
+    /// Add the bounds of a list. Rows have to be processed in order from the first.
+    void add_row(std::size_t list, std::int64_t row, BlockRow& to) {
+        const auto k = static_cast<std::int64_t>(list);
+        if (k == plan_.air_list) air_->add_row(row, to);
+        // Air at rest adds no bound.
+        if (k == plan_.mass_list && plan_.lists[k].has_wind()) mass_->add_row(row, to);
+        if (k == plan_.curvature_list) plan_.curvature_terms.add_row(row, to);
+    }
+
+private:
+    Plan& plan_;
+    std::optional<grid::CellBounds<laws::Panel<4>>> air_;
+    std::optional<grid::CellBounds<laws::AddedMass<4>>> mass_;
+};
+
+/// Add the blocks of all parts to stiff and damp, each (6, n) or null.
 void add_bounds(const Plan& plan, const double* x, double* stiff, double* damp) {
     if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, stiff, damp);
     for (const List& list : plan.lists) add_list_bounds(list, x, plan.count, stiff, damp);
+}
+
+/// Bounds of a sheet all of whose lists `RowBounds` covers, for each particle: those of `add_bounds` and `eigenvalues`,
+/// bit for bit.
+inline void bounds_by_rows(Plan& plan, const double* x, double* stiff, double* damp) {
+    using V = vec<double>;
+    const Grid& grid = *plan.grid;
+    GridBounds<double> springs(grid, plan.tables, x);
+    RowBounds lists(plan, springs.positions());
+    BlockRow blocks(grid);
+    for (std::int64_t row = 0; row < grid.rows; ++row) {
+        const std::int64_t first = row * grid.columns;
+        springs.process_row(row);
+        for (std::int64_t j = 0; j < grid.columns; j += lanes<double>) {
+            Sym3<V> k, c;
+            springs.of(row, j, k, c);
+            const V parts[12] = {k.xx, k.yy, k.zz, k.xy, k.xz, k.yz, c.xx, c.yy, c.zz, c.xy, c.xz, c.yz};
+            for (int part = 0; part < 12; ++part) store(blocks.stiff(part) + j, parts[part]);
+        }
+        for (std::size_t list = 0; list < plan.lists.size(); ++list) lists.add_row(list, row, blocks);
+        for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip) {
+            const std::int64_t j = plan.grips.particle[grip] - first;
+            for (int axis = 0; j >= 0 && j < grid.columns && axis < 3; ++axis) {
+                blocks.stiff(axis)[j] += plan.grips.stiffness[grip];
+                blocks.damp(axis)[j] += plan.grips.damping[grip];
+            }
+        }
+        for (std::int64_t j = 0; j < grid.columns; j += lanes<double>) {
+            const auto largest = [&](double* from, double* to) {
+                const auto at = [&](int c) { return load(from + c * blocks.pitch + j); };
+                const V value = largest_eigenvalue(Sym3<V>{at(0), at(1), at(2), at(3), at(4), at(5)});
+                const std::int64_t n_lanes = std::min<std::int64_t>(lanes<double>, grid.columns - j);
+                std::memcpy(to + first + j, &value, n_lanes * sizeof(double));
+            };
+            largest(blocks.stiff(0), stiff), largest(blocks.damp(0), damp);
+        }
+    }
 }
 
 void eigenvalues(const double* blocks, std::int64_t n, double* to) {
@@ -53,10 +136,11 @@ void eigenvalues(const double* blocks, std::int64_t n, double* to) {
 /// valid, and the lowest is used.
 class PerronBound {
 public:
-    /// `blocks` (12, n) of all parts with equal weights, and the resulting stiffness and damping of each particle; or
-    /// of hinges alone.
-    PerronBound(const Plan& plan, const double* x, const Array<double>& blocks, const Array<double>& k,
-                const Array<double>& c, bool hinges)
+    /// `blocks` makes the blocks (12, n) of all parts with equal weights; the resulting stiffness and damping of each
+    /// particle; or of hinges alone.
+    template <class F>
+    PerronBound(const Plan& plan, const double* x, F&& blocks, const Array<double>& k, const Array<double>& c,
+                bool hinges)
         : plan_(plan), quantities_{Quantity(k), Quantity(c)} {
         if (!quantities_[0].has_outliers && !quantities_[1].has_outliers) return;
         index_.assign(plan.count, -1);
@@ -70,7 +154,7 @@ public:
         for (const List& list : plan.lists)
             if (list.slow || !hinges)
                 with_law(list.kind, [&](auto law) { collect<decltype(law)>(list, x, is_outlier); });
-        gather(blocks);
+        gather(blocks());
         for (int round = 0; round < rounds; ++round) refine_weights(is_outlier);
     }
     SpectralBounds result() const { return {quantities_[0].best, quantities_[1].best}; }
@@ -89,12 +173,15 @@ private:
             const auto count = static_cast<std::int64_t>(rows.size()),
                        n_weights = std::max(count / particles_per_weight, particles_per_weight);
             if (!(best > 0.0)) return;
+            std::int64_t n_large = 0;
+            for (const double row : rows) n_large += row >= work_fraction * best;
+            has_outliers = n_weights >= count || n_large <= n_weights;
+            if (!has_outliers) return;
             if (n_weights < count) {
                 Array<double> sorted = rows;
                 std::nth_element(sorted.begin(), sorted.begin() + n_weights, sorted.end(), std::greater<>());
                 typical = sorted[n_weights];
             }
-            has_outliers = typical < work_fraction * best;
             typical = std::max(typical, weight_fraction * best);
             target = std::max(target_fraction * best, typical);
         }
@@ -236,7 +323,8 @@ inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* bl
         c[i] *= plan.free_inverse[i];
         transverse[i] *= plan.free_inverse[i];
     }
-    const SpectralBounds hinges = PerronBound(plan, x, hinge_blocks, k, c, true).result();
+    const SpectralBounds hinges =
+        PerronBound(plan, x, [&]() -> const Array<double>& { return hinge_blocks; }, k, c, true).result();
     SpectralBounds r{};
     r.hinge_omega2 = hinges.omega2;
     r.hinge_damping = hinges.damping;
@@ -263,6 +351,20 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
     Array<double> k(n), c(n, 0.0), blocks;
     SpectralBounds result{};
     plan.assign_lists();
+    bool by_rows = true, refines = false;
+    for (std::size_t list = 0; list < plan.lists.size(); ++list) by_rows = by_rows && RowBounds::covers(plan, list);
+    const auto make_blocks = [&]() -> const Array<double>& {
+        if (!blocks.empty()) return blocks;
+        blocks.assign(12 * n, 0.0);
+        if (stiff) std::copy(stiff, stiff + 6 * n, blocks.begin());
+        if (damp) std::copy(damp, damp + 6 * n, blocks.begin() + 6 * n);
+        if (hinges && plan.has_hinges())
+            result = hinge_bounds(plan, x, blocks.data());
+        else
+            add_bounds(plan, x, blocks.data(), blocks.data() + 6 * n);
+        for (int axis = 0; axis < 3; ++axis) add_grips(plan, &blocks[axis * n], &blocks[(6 + axis) * n]);
+        return blocks;
+    };
     const bool has_panels = plan.air_list >= 0;
     // Air at rest adds no bound.
     const bool has_mass = plan.mass_list >= 0 && !plan.lists[plan.mass_list].has_wind();
@@ -289,15 +391,12 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
         }
         if (has_curvature) add_curvature_bounds(plan, x, k.data(), c.data());
         add_grips(plan, k.data(), c.data());
+    } else if (plan.grid && by_rows && !stiff && !damp) {
+        bounds_by_rows(plan, x, k.data(), c.data());
+        refines = true;
     } else {
-        blocks.assign(12 * n, 0.0);
-        if (stiff) std::copy(stiff, stiff + 6 * n, blocks.begin());
-        if (damp) std::copy(damp, damp + 6 * n, blocks.begin() + 6 * n);
-        if (hinges && plan.has_hinges())
-            result = hinge_bounds(plan, x, blocks.data());
-        else
-            add_bounds(plan, x, blocks.data(), blocks.data() + 6 * n);
-        for (int axis = 0; axis < 3; ++axis) add_grips(plan, &blocks[axis * n], &blocks[(6 + axis) * n]);
+        make_blocks();
+        refines = true;
         eigenvalues(blocks.data(), n, k.data());
         eigenvalues(blocks.data() + 6 * n, n, c.data());
     }
@@ -307,8 +406,8 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
         c[i] *= plan.free_inverse[i];
         free = free || plan.free_inverse[i] > 0.0;
     }
-    const SpectralBounds all = blocks.empty() ? SpectralBounds{largest_or_nan(k.data(), n), largest_or_nan(c.data(), n)}
-                                              : PerronBound(plan, x, blocks, k, c, false).result();
+    const SpectralBounds all = refines ? PerronBound(plan, x, make_blocks, k, c, false).result()
+                                       : SpectralBounds{largest_or_nan(k.data(), n), largest_or_nan(c.data(), n)};
     result.omega2 = all.omega2;
     result.damping = all.damping + (free ? plan.drag : 0.0);
     return result;

@@ -47,6 +47,8 @@ void Plan::assign_lists() {
     air_list = first_cells(Kind::panel4);
     mass_list = first_cells(Kind::mass4);
     slots = std::move(list_slots);
+    const auto in_order = [&](std::int64_t k) { return k >= 0 && grid::are_cells_in_order(*grid, lists[k], slots[k]); };
+    air_in_order = in_order(air_list), mass_in_order = in_order(mass_list);
 }
 
 bool Plan::has_off_grid_lists() {
