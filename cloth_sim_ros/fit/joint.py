@@ -367,7 +367,8 @@ def solve_joint(
         is_converged = bool(np.all(distance <= np.maximum(converged_fraction * sigmas, _CONVERGED_STEP)))
         if is_converged or iteration == max_iterations:
             break
-        moved = _line_search(problem, point, selected, noise, tolerance, step)
+        fixed = (derivatives, matrix) if chord else None
+        moved = _line_search(problem, point, selected, noise, tolerance, step, fixed)
         if moved is None:
             # Short waves make the loss rough: a step within the deviations may find no lower one.
             is_converged = bool(np.all(distance <= np.maximum(sigmas, _CONVERGED_STEP)))
@@ -414,16 +415,35 @@ def _limited_step(matrix: Array, gradient: Array, p: int) -> Array:
 
 
 def _line_search(
-    problem: JointProblem, point: Point, selected: Sequence[int], noise: NoiseModel, tolerance: float, step: Array
+    problem: JointProblem,
+    point: Point,
+    selected: Sequence[int],
+    noise: NoiseModel,
+    tolerance: float,
+    step: Array,
+    fixed: tuple[Derivatives, Array] | None,
 ) -> Point | None:
-    """Return a point along a step with a lower loss; None if there is none."""
+    """Return a point along a step with a lower loss; None if there is none.
+
+    With fixed derivatives and their information, the next step must be smaller instead: short waves of a limp cloth
+    change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
+    """
+
+    def cost(at: Point) -> float:
+        if fixed is None:
+            return problem.loss(at, selected, noise)
+        derivatives, matrix = fixed
+        equations = problem.normal_equations(at, derivatives, selected, noise)
+        gradient = equations.gradient.sum(axis=0) + problem.prior(at)[1]
+        return float(gradient @ np.linalg.solve(matrix, gradient))
+
     p, scaled = len(point.theta), step
-    current = problem.loss(point, selected, noise)
+    current = cost(point)
     for _ in range(_MAX_REDUCTIONS):
         theta = problem.clamp(point.theta + scaled[:p])
         eta = problem.alignment.clamp(point.eta + scaled[p:], problem.offsets)
         moved = problem.evaluate(theta, eta, selected, tolerance)
-        if not isinstance(moved, str) and problem.loss(moved, selected, noise) < current:
+        if not isinstance(moved, str) and cost(moved) < current:
             return moved
         scaled = scaled * _REDUCTION
     return None

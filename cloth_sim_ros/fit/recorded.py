@@ -8,6 +8,7 @@ A reader of another format returns a `Recording`. `start.py` turns it into a `Fi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 
 import attrs
 import numpy as np
@@ -76,7 +77,7 @@ class RecordedGripper:
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, max(last - 1, 0)))
         places = np.clip(np.arange(k - 1, k + 3), 0, last)
         times, turns = self.times[places], self.quaternions[places].copy()
-        for before, turn in zip(turns[:-1], turns[1:], strict=True):
+        for before, turn in pairwise(turns):
             if float(before @ turn) < 0.0:
                 turn *= -1.0
         numbers, spans = np.hstack([self.positions[places], turns]), np.diff(times)
