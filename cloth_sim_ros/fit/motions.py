@@ -39,10 +39,12 @@ _SEARCHED = 0.5
 _SEARCH_STEP, _MIN_STEP, _MAX_STEP = 0.1, 0.02, 0.1
 #: Share of short waves in the differences above which a step is doubled, and its limit.
 _MAX_ROUGHNESS, _ROUGH_STEP = 0.1, 0.4
+#: Ratio of the steps of two linearizations below which they are alike (logarithm), and reduction of such steps.
+_OTHER_STEP, _SHORTER = 0.25, 0.7
 #: Largest change of a time offset after the first search [s].
 _OFFSET_MARGIN = 0.1
 #: Iterations of the searches, and of the last search between two linearizations.
-_SEARCH_ITERATIONS, _LAST_ITERATIONS = 6, 5
+_SEARCH_ITERATIONS, _LAST_ITERATIONS = 6, 8
 #: Number of linearizations of all recordings.
 _MAX_LINEARIZATIONS = 5
 #: Change of a logarithm since the linearization above which it is repeated [standard deviations] and absolute.
@@ -359,9 +361,9 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
     steps, unpredictable = np.full(len(point.theta), _MAX_STEP), 0
     # Steps that average over short waves do not become shorter again.
     min_steps = np.zeros(len(point.theta))
-    solution = derivatives = None
+    solution = derivatives = previous = None
     for attempt in range(_MAX_LINEARIZATIONS):
-        begin = point.theta
+        begin, used_steps = point.theta, steps
         noise = problem.smooth_noise(point, inside, loss)
         solution = solve_joint(
             problem,
@@ -373,6 +375,7 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
             steps=steps,
             central=True,
             derivatives=derivatives,
+            previous=previous,
             chord=True,
         )
         point = solution.point
@@ -381,20 +384,24 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
         min_steps = np.where(is_rough, np.minimum(2.0 * steps, _ROUGH_STEP), min_steps)
         bounds = np.clip(sigmas, _MIN_STEP, _MAX_STEP)
         steps = np.maximum(bounds, min_steps)
+        # Short waves of two linearizations are independent if their steps differ.
+        steps = np.where(np.abs(np.log(steps / used_steps)) < _OTHER_STEP, _SHORTER * used_steps, steps)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
         counts = linear_clouds(problem, solution, inside, median_deviation(residuals), bounds)
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))
         moved = np.abs(point.theta - begin)
-        is_stale = np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP))
-        is_stale |= is_rough.any()
-        is_done = solution.is_converged and not (removed or is_stale)
+        has_moved = bool(np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP)))
+        is_stale = has_moved or bool(is_rough.any())
+        is_done = solution.is_converged and bool(solution.derivatives.other_slopes) and not (removed or is_stale)
         if is_done or attempt == _MAX_LINEARIZATIONS - 1:
             break
         unpredictable += removed
         for k, n in zip(inside, counts, strict=True):
             problem.used[k] = problem.used[k][:n]
-        is_usable = solution.is_converged and not is_stale
-        derivatives = solution.derivatives.first_clouds(counts) if is_usable else None
+        shorter = solution.derivatives.first_clouds(counts)
+        derivatives = shorter if solution.is_converged and shorter.other_slopes and not is_stale else None
+        # Slopes from afar are others.
+        previous = None if has_moved else shorter
         point = replace_alignment(problem, point, inside, point.eta)
     assert solution is not None
     return solution, unpredictable
