@@ -81,7 +81,17 @@ def test_steps_double_over_short_waves_only() -> None:
     assert solution.derivatives.steps[0] == _ROUGH_STEP
     assert solution.derivatives.steps[1] <= _MAX_STEP
     assert solution.is_converged
+    assert solution.derivatives.other_slopes
     assert solution.point.theta - problem.start == pytest.approx(CHANGE, abs=0.1)
+
+
+def test_search_ends_at_root_of_gradients_on_rough_loss() -> None:
+    problem, solution = solve(waves=0.003)
+    prior_information, prior_gradient = problem.prior(solution.point)
+    matrix = solution.equations.information.sum(axis=0) + np.diag(prior_information)
+    step = np.linalg.solve(matrix, solution.equations.gradient.sum(axis=0) + prior_gradient)
+    # The loss changes by several units with any change of a parameter: its lowest place would be elsewhere.
+    assert np.abs(step / np.sqrt(np.diag(np.linalg.inv(matrix)))).max() < 0.5
 
 
 def test_smooth_residuals_keep_the_first_steps() -> None:
