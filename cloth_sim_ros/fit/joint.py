@@ -298,9 +298,9 @@ class JointProblem:
                 if not len(r):
                     continue
                 weight = noise.weigh(r, self.mode_rows(k, int(cloud)))
-                one, other = (np.array([slope[c] for slope in (*by[row], *by_alignment)]) for by in sets)
-                mean = 0.5 * (one + other)
-                weighted, difference = weight.apply(mean), 0.5 * (one - other)
+                first, second = (np.array([slope[c] for slope in (*by[row], *by_alignment)]) for by in sets)
+                mean = 0.5 * (first + second)
+                weighted, difference = weight.apply(mean), 0.5 * (first - second)
                 square = np.einsum("ind,jnd->ij", mean, weighted)
                 # The symmetric part of the product of both: the square of the mean minus that of half the difference.
                 product = square - np.einsum("ind,jnd->ij", difference, weight.apply(difference))
@@ -310,7 +310,7 @@ class JointProblem:
                 loss[row] += weight.loss
         if derivatives.other_slopes:
             prior = np.diag(self.prior(point)[0])
-            missing = _missing_information(information.sum(axis=0) + prior, squares.sum(axis=0) + prior, p)
+            missing = missing_information(information.sum(axis=0) + prior, squares.sum(axis=0) + prior, p)
             information[:, :p, :p] += missing / len(selected)
         return NormalEquations(information=information, gradient=gradient, loss=loss)
 
@@ -383,7 +383,7 @@ def solve_joint(
         matrix = equations.information.sum(axis=0) + np.diag(prior_information)
         gradient = equations.gradient.sum(axis=0) + prior_gradient
         step = _limited_step(matrix, gradient, p)
-        sigmas = _deviations(matrix, equations.gradient)[:p]
+        sigmas = scatter_deviations(matrix, equations.gradient)[:p]
         distance = np.abs(problem.clamp(point.theta + step[:p]) - point.theta)
         is_converged = bool(np.all(distance <= np.maximum(converged_fraction * sigmas, _CONVERGED_STEP)))
         if is_converged or iteration == max_iterations:
@@ -403,7 +403,7 @@ def solve_joint(
     )
 
 
-def _deviations(matrix: Array, gradient: Array) -> Array:
+def scatter_deviations(matrix: Array, gradient: Array) -> Array:
     """Return the standard deviations of all unknowns: by the noise, or by the scatter of the recordings if larger.
 
     Args:
@@ -446,7 +446,7 @@ def _line_search(
 ) -> Point | None:
     """Return a point along a step with a lower loss; None if there is none.
 
-    With fixed derivatives and their information, the next step must be smaller instead: short waves of a limp cloth
+    With fixed derivatives and their information, the next step must be smaller instead. Short waves of a limp cloth
     change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
     """
 
@@ -470,7 +470,7 @@ def _line_search(
     return None
 
 
-def _missing_information(product: Array, square: Array, p: int) -> Array:
+def missing_information(product: Array, square: Array, p: int) -> Array:
     """Return what products of two sets of slopes lack to a tenth of their square, shape (p, p).
 
     Args:

@@ -36,9 +36,9 @@ N_SEARCHED = 6
 #: Step at which a first search ends [standard deviations].
 _SEARCHED = 0.5
 #: Difference step of the first search, and limits of the last one's steps.
-_SEARCH_STEP, _MIN_STEP, _MAX_STEP = 0.1, 0.02, 0.1
+_SEARCH_STEP, _MIN_STEP, MAX_STEP = 0.1, 0.02, 0.1
 #: Share of short waves in the differences above which a step is doubled, and its limit.
-_MAX_ROUGHNESS, _ROUGH_STEP = 0.1, 0.4
+_MAX_ROUGHNESS, ROUGH_STEP = 0.1, 0.4
 #: Ratio of the steps of two linearizations below which they are alike (logarithm), and reduction of such steps.
 _OTHER_STEP, _SHORTER = 0.25, 0.7
 #: Largest change of a time offset after the first search [s].
@@ -248,7 +248,7 @@ def _fit_problem(
     n_unknowns = len(theta) + problem.alignment.n_unknowns
     if n_coordinates <= n_unknowns:
         raise FitError(f"the clouds have {n_coordinates} coordinates for {n_unknowns} unknowns; record more clouds")
-    solution, unpredictable = _solve_all(problem, point, inside, loss)
+    solution, unpredictable = solve_all(problem, point, inside, loss)
     counts = attrs.evolve(left_out, other_object=dropped, unpredictable=unpredictable)
     return _build(problem, solution, inside, outside, counts, loss, within, n_before)
 
@@ -356,9 +356,9 @@ def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -
     return dropped
 
 
-def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
+def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
     """Return the solution of all recordings, and the number of unpredictable clouds."""
-    steps, unpredictable = np.full(len(point.theta), _MAX_STEP), 0
+    steps, unpredictable = np.full(len(point.theta), MAX_STEP), 0
     # Steps that average over short waves do not become shorter again.
     min_steps = np.zeros(len(point.theta))
     solution = derivatives = previous = None
@@ -380,9 +380,9 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations
-        is_rough = (roughness(solution.derivatives) > _MAX_ROUGHNESS) & (steps < _ROUGH_STEP)
-        min_steps = np.where(is_rough, np.minimum(2.0 * steps, _ROUGH_STEP), min_steps)
-        bounds = np.clip(sigmas, _MIN_STEP, _MAX_STEP)
+        is_rough = (roughness(solution.derivatives) > _MAX_ROUGHNESS) & (steps < ROUGH_STEP)
+        min_steps = np.where(is_rough, np.minimum(2.0 * steps, ROUGH_STEP), min_steps)
+        bounds = np.clip(sigmas, _MIN_STEP, MAX_STEP)
         steps = np.maximum(bounds, min_steps)
         # Short waves of two linearizations are independent if their steps differ.
         steps = np.where(np.abs(np.log(steps / used_steps)) < _OTHER_STEP, _SHORTER * used_steps, steps)

@@ -89,9 +89,9 @@ class RecordedGripper:
             # Velocities at both ends, minus that of the straight line; a pose beside a gap has the line's velocity.
             first, second = (
                 (numbers[i + 1] - numbers[i - 1]) * span / (times[i + 1] - times[i - 1]) - change
-                if 0.0 < spans[side] <= MAX_POSE_GAP
+                if 0.0 < spans[interval] <= MAX_POSE_GAP
                 else 0.0 * change
-                for i, side in ((1, 0), (2, 2))
+                for i, interval in ((1, 0), (2, 2))
             )
             pose = pose + s * (1.0 - s) * ((1.0 - s) * first - s * second)
         turn = pose[3:] / np.sqrt(float(pose[3:] @ pose[3:]))

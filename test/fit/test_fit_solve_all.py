@@ -11,8 +11,8 @@ import pytest
 from support.motion_samples import scene_of
 
 from cloth_sim_ros.fit.alignment import FIXED, AlignmentModel
-from cloth_sim_ros.fit.joint import JointProblem, JointSolution, _deviations
-from cloth_sim_ros.fit.motions import _MAX_STEP, _ROUGH_STEP, _solve_all
+from cloth_sim_ros.fit.joint import JointProblem, JointSolution, scatter_deviations
+from cloth_sim_ros.fit.motions import MAX_STEP, ROUGH_STEP, solve_all
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
@@ -29,12 +29,12 @@ CHANGE, DISPLACEMENT = np.array([0.2, -0.1]), np.array([0.01, 0.1])
 class FunctionPool:
     """Positions that are linear in the logarithms, with a deviation of its own for each simulation."""
 
-    def __init__(self, start: np.ndarray, rest: np.ndarray, waves: float) -> None:
-        self.start, self.rest, self.waves, self.n_runs = start, rest, waves, 0
-        self.pattern = np.random.default_rng(1).normal(size=(2, *rest.shape)) * DISPLACEMENT[:, None, None]
+    def __init__(self, start: np.ndarray, initial: np.ndarray, waves: float) -> None:
+        self.start, self.initial, self.waves, self.n_runs = start, initial, waves, 0
+        self.pattern = np.random.default_rng(1).normal(size=(2, *initial.shape)) * DISPLACEMENT[:, None, None]
 
     def positions(self, theta: np.ndarray) -> np.ndarray:
-        return self.rest + np.einsum("p,pid->id", theta - self.start, self.pattern)
+        return self.initial + np.einsum("p,pid->id", theta - self.start, self.pattern)
 
     def simulate(self, runs: Sequence[TrajectoryRun]) -> list[SimulatedMotion]:
         self.n_runs += len(runs)
@@ -42,7 +42,7 @@ class FunctionPool:
         for run in runs:
             name = int(run.recording.name)
             seed = np.frombuffer(np.array(run.values).tobytes(), dtype=np.uint32)
-            short = self.waves * np.random.default_rng([name, *seed]).normal(size=self.rest.shape)
+            short = self.waves * np.random.default_rng([name, *seed]).normal(size=self.initial.shape)
             frames = np.arange(len(run.recording.events) + 1)
             x = np.tile(self.positions(np.log(run.values)) + short, (len(frames), 1, 1))
             n_settle = run.recording.n_settle_frames
@@ -71,15 +71,15 @@ def solve(waves: float) -> tuple[JointProblem, JointSolution]:
     selected = range(N_MOTIONS)
     point = problem.evaluate(start, np.zeros(0), selected, 1e-4)
     assert not isinstance(point, str)
-    solution, unpredictable = _solve_all(problem, point, selected, HUBER)
+    solution, unpredictable = solve_all(problem, point, selected, HUBER)
     assert unpredictable == 0
     return problem, solution
 
 
 def test_steps_double_over_short_waves_only() -> None:
     problem, solution = solve(waves=0.001)
-    assert solution.derivatives.steps[0] == _ROUGH_STEP
-    assert solution.derivatives.steps[1] <= _MAX_STEP
+    assert solution.derivatives.steps[0] == ROUGH_STEP
+    assert solution.derivatives.steps[1] <= MAX_STEP
     assert solution.is_converged
     assert solution.derivatives.other_slopes
     assert solution.point.theta - problem.start == pytest.approx(CHANGE, abs=0.1)
@@ -96,7 +96,7 @@ def test_search_ends_at_root_of_gradients_on_rough_loss() -> None:
 
 def test_smooth_residuals_keep_the_first_steps() -> None:
     problem, solution = solve(waves=0.0)
-    assert solution.derivatives.steps.max() <= _MAX_STEP
+    assert solution.derivatives.steps.max() <= MAX_STEP
     assert solution.is_converged
     assert solution.point.theta - problem.start == pytest.approx(CHANGE, abs=0.1)
 
@@ -107,12 +107,12 @@ def test_deviations_are_of_noise_or_of_larger_scatter() -> None:
     # Gradients of all motions with a variance of the information scatter as the noise predicts.
     gradient = np.stack([signs * np.sqrt(100.0 / count), 3.0 * signs * np.sqrt(400.0 / count)], axis=1)
     scatter = np.sqrt(count / (count - 1.0))
-    assert _deviations(information, gradient) == pytest.approx([0.1 * scatter, 3.0 * 0.05 * scatter])
-    assert _deviations(information, 0.1 * gradient) == pytest.approx([0.1, 0.05])
+    assert scatter_deviations(information, gradient) == pytest.approx([0.1 * scatter, 3.0 * 0.05 * scatter])
+    assert scatter_deviations(information, 0.1 * gradient) == pytest.approx([0.1, 0.05])
     # Four motions show no scatter.
-    assert _deviations(information, 9.0 * gradient[:4]) == pytest.approx([0.1, 0.05])
+    assert scatter_deviations(information, 9.0 * gradient[:4]) == pytest.approx([0.1, 0.05])
 
 
 def test_deviations_ignore_a_common_gradient() -> None:
     information, common = np.diag([100.0, 400.0]), np.full((10, 2), 50.0)
-    assert _deviations(information, common) == pytest.approx([0.1, 0.05])
+    assert scatter_deviations(information, common) == pytest.approx([0.1, 0.05])
