@@ -28,6 +28,8 @@ _NOISE_STEPS = 4
 _MAX_REDUCTIONS, _REDUCTION = 4, 0.35
 #: Converged step [standard deviations], and of a logarithm.
 _CONVERGED_FRACTION, _CONVERGED_STEP = 0.1, 1e-5
+#: Least share of the information that is not of short waves, in any direction of the unknowns.
+_MIN_SHARE = 0.1
 #: Least number of recordings whose scatter gives standard deviations.
 _MIN_SCATTERED = 5
 
@@ -55,14 +57,16 @@ class Derivatives:
     curvatures: list[list[list[Array]]]
     #: Difference steps, shape (p,).
     steps: Array
+    #: Slopes by other simulations, whose short waves are independent; empty without.
+    other_slopes: list[list[list[Array]]] = attrs.field(factory=list)
 
     def first_clouds(self, counts: Sequence[int]) -> Derivatives:
         """Return the derivatives of the first clouds of each recording."""
-        slopes, curvatures = (
-            [[by_cloud[:n] for by_cloud in motion] for motion, n in zip(parts, counts, strict=True)]
-            for parts in (self.slopes, self.curvatures)
+        slopes, curvatures, other_slopes = (
+            [[by_cloud[:n] for by_cloud in motion] for motion, n in zip(parts, counts, strict=bool(parts))]
+            for parts in (self.slopes, self.curvatures, self.other_slopes)
         )
-        return attrs.evolve(self, slopes=slopes, curvatures=curvatures)
+        return attrs.evolve(self, slopes=slopes, curvatures=curvatures, other_slopes=other_slopes)
 
 
 @attrs.define(kw_only=True, eq=False)
@@ -272,9 +276,14 @@ class JointProblem:
     def normal_equations(
         self, point: Point, derivatives: Derivatives, selected: Sequence[int], noise: NoiseModel
     ) -> NormalEquations:
-        """Return information and gradient of each selected recording, without the prior."""
+        """Return information and gradient of each selected recording, without the prior.
+
+        Two sets of slopes have independent short waves. Their products contain no square of these, which would make
+        the information too large.
+        """
         p, q = len(point.theta), len(point.eta)
-        information = np.zeros((len(selected), p + q, p + q))
+        information, squares = np.zeros((2, len(selected), p + q, p + q))
+        sets = (derivatives.slopes, derivatives.other_slopes or derivatives.slopes)
         gradient = np.zeros((len(selected), p + q))
         loss = np.zeros(len(selected))
         for row, k in enumerate(selected):
@@ -289,12 +298,20 @@ class JointProblem:
                 if not len(r):
                     continue
                 weight = noise.weigh(r, self.mode_rows(k, int(cloud)))
-                jacobian = np.array([slope[c] for slope in (*derivatives.slopes[row], *by_alignment)])
-                weighted = weight.apply(jacobian)
-                block = np.einsum("ind,jnd->ij", jacobian, weighted)
-                information[row][np.ix_(columns, columns)] += block
+                first, second = (np.array([slope[c] for slope in (*by[row], *by_alignment)]) for by in sets)
+                mean = 0.5 * (first + second)
+                weighted, difference = weight.apply(mean), 0.5 * (first - second)
+                square = np.einsum("ind,jnd->ij", mean, weighted)
+                # The symmetric part of the product of both: the square of the mean minus that of half the difference.
+                product = square - np.einsum("ind,jnd->ij", difference, weight.apply(difference))
+                squares[row][np.ix_(columns, columns)] += square
+                information[row][np.ix_(columns, columns)] += product
                 gradient[row][columns] += np.einsum("ind,nd->i", weighted, r)
                 loss[row] += weight.loss
+        if derivatives.other_slopes:
+            prior = np.diag(self.prior(point)[0])
+            missing = missing_information(information.sum(axis=0) + prior, squares.sum(axis=0) + prior, p)
+            information[:, :p, :p] += missing / len(selected)
         return NormalEquations(information=information, gradient=gradient, loss=loss)
 
     def prior(self, point: Point) -> tuple[Array, Array]:
@@ -326,6 +343,7 @@ def solve_joint(
     steps: Array,
     central: bool = False,
     derivatives: Derivatives | None = None,
+    previous: Derivatives | None = None,
     chord: bool = False,
     converged_fraction: float = _CONVERGED_FRACTION,
 ) -> JointSolution:
@@ -341,6 +359,7 @@ def solve_joint(
         steps: difference steps of the logarithms, shape (p,).
         central: true for central differences.
         derivatives: derivatives at the start, in place of differences.
+        previous: derivatives by other simulations near the start.
         chord: true to use the derivatives and the noise model of the start in all iterations.
         converged_fraction: step that counts as converged [standard deviations].
 
@@ -353,6 +372,8 @@ def solve_joint(
     point = point if isinstance(start, str) else start
     if derivatives is None:
         derivatives = problem.differentiate(point, selected, steps, tolerance, central=central)
+        if previous is not None:
+            derivatives.other_slopes = previous.slopes
     p, is_converged = len(point.theta), False
     for iteration in range(max_iterations + 1):
         if not chord:
@@ -362,12 +383,13 @@ def solve_joint(
         matrix = equations.information.sum(axis=0) + np.diag(prior_information)
         gradient = equations.gradient.sum(axis=0) + prior_gradient
         step = _limited_step(matrix, gradient, p)
-        sigmas = _deviations(matrix, equations.gradient)[:p]
+        sigmas = scatter_deviations(matrix, equations.gradient)[:p]
         distance = np.abs(problem.clamp(point.theta + step[:p]) - point.theta)
         is_converged = bool(np.all(distance <= np.maximum(converged_fraction * sigmas, _CONVERGED_STEP)))
         if is_converged or iteration == max_iterations:
             break
-        moved = _line_search(problem, point, selected, noise, tolerance, step)
+        fixed = (derivatives, matrix) if chord else None
+        moved = _line_search(problem, point, selected, noise, tolerance, step, fixed)
         if moved is None:
             # Short waves make the loss rough: a step within the deviations may find no lower one.
             is_converged = bool(np.all(distance <= np.maximum(sigmas, _CONVERGED_STEP)))
@@ -381,7 +403,7 @@ def solve_joint(
     )
 
 
-def _deviations(matrix: Array, gradient: Array) -> Array:
+def scatter_deviations(matrix: Array, gradient: Array) -> Array:
     """Return the standard deviations of all unknowns: by the noise, or by the scatter of the recordings if larger.
 
     Args:
@@ -414,19 +436,54 @@ def _limited_step(matrix: Array, gradient: Array, p: int) -> Array:
 
 
 def _line_search(
-    problem: JointProblem, point: Point, selected: Sequence[int], noise: NoiseModel, tolerance: float, step: Array
+    problem: JointProblem,
+    point: Point,
+    selected: Sequence[int],
+    noise: NoiseModel,
+    tolerance: float,
+    step: Array,
+    fixed: tuple[Derivatives, Array] | None,
 ) -> Point | None:
-    """Return a point along a step with a lower loss; None if there is none."""
+    """Return a point along a step with a lower loss; None if there is none.
+
+    With fixed derivatives and their information, the next step must be smaller instead. Short waves of a limp cloth
+    change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
+    """
+
+    def cost(at: Point) -> float:
+        if fixed is None:
+            return problem.loss(at, selected, noise)
+        derivatives, matrix = fixed
+        equations = problem.normal_equations(at, derivatives, selected, noise)
+        gradient = equations.gradient.sum(axis=0) + problem.prior(at)[1]
+        return float(gradient @ np.linalg.solve(matrix, gradient))
+
     p, scaled = len(point.theta), step
-    current = problem.loss(point, selected, noise)
+    current = cost(point)
     for _ in range(_MAX_REDUCTIONS):
         theta = problem.clamp(point.theta + scaled[:p])
         eta = problem.alignment.clamp(point.eta + scaled[p:], problem.offsets)
         moved = problem.evaluate(theta, eta, selected, tolerance)
-        if not isinstance(moved, str) and problem.loss(moved, selected, noise) < current:
+        if not isinstance(moved, str) and cost(moved) < current:
             return moved
         scaled = scaled * _REDUCTION
     return None
+
+
+def missing_information(product: Array, square: Array, p: int) -> Array:
+    """Return what products of two sets of slopes lack to a tenth of their square, shape (p, p).
+
+    Args:
+        product: information by the products and by the prior, shape (unknowns, unknowns).
+        square: information by the square of the mean of both sets and by the prior, likewise.
+        p: number of parameters; the other unknowns are eliminated.
+    """
+    reduced = [m[:p, :p] - m[:p, p:] @ np.linalg.solve(m[p:, p:], m[p:, :p]) for m in (product, square)]
+    factor = np.linalg.cholesky(reduced[1])
+    inverse = np.linalg.inv(factor)
+    shares, directions = np.linalg.eigh(inverse @ reduced[0] @ inverse.T)
+    lifted = factor @ directions
+    return np.asarray((lifted * np.maximum(_MIN_SHARE - shares, 0.0)) @ lifted.T)
 
 
 def roughness(derivatives: Derivatives) -> Array:

@@ -36,13 +36,15 @@ N_SEARCHED = 6
 #: Step at which a first search ends [standard deviations].
 _SEARCHED = 0.5
 #: Difference step of the first search, and limits of the last one's steps.
-_SEARCH_STEP, _MIN_STEP, _MAX_STEP = 0.1, 0.02, 0.1
+_SEARCH_STEP, _MIN_STEP, MAX_STEP = 0.1, 0.02, 0.1
 #: Share of short waves in the differences above which a step is doubled, and its limit.
-_MAX_ROUGHNESS, _ROUGH_STEP = 0.1, 0.4
+_MAX_ROUGHNESS, ROUGH_STEP = 0.1, 0.4
+#: Ratio of the steps of two linearizations below which they are alike (logarithm), and reduction of such steps.
+_OTHER_STEP, _SHORTER = 0.25, 0.7
 #: Largest change of a time offset after the first search [s].
 _OFFSET_MARGIN = 0.1
 #: Iterations of the searches, and of the last search between two linearizations.
-_SEARCH_ITERATIONS, _LAST_ITERATIONS = 6, 5
+_SEARCH_ITERATIONS, _LAST_ITERATIONS = 6, 8
 #: Number of linearizations of all recordings.
 _MAX_LINEARIZATIONS = 5
 #: Change of a logarithm since the linearization above which it is repeated [standard deviations] and absolute.
@@ -246,7 +248,7 @@ def _fit_problem(
     n_unknowns = len(theta) + problem.alignment.n_unknowns
     if n_coordinates <= n_unknowns:
         raise FitError(f"the clouds have {n_coordinates} coordinates for {n_unknowns} unknowns; record more clouds")
-    solution, unpredictable = _solve_all(problem, point, inside, loss)
+    solution, unpredictable = solve_all(problem, point, inside, loss)
     counts = attrs.evolve(left_out, other_object=dropped, unpredictable=unpredictable)
     return _build(problem, solution, inside, outside, counts, loss, within, n_before)
 
@@ -354,14 +356,14 @@ def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -
     return dropped
 
 
-def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
+def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
     """Return the solution of all recordings, and the number of unpredictable clouds."""
-    steps, unpredictable = np.full(len(point.theta), _MAX_STEP), 0
+    steps, unpredictable = np.full(len(point.theta), MAX_STEP), 0
     # Steps that average over short waves do not become shorter again.
     min_steps = np.zeros(len(point.theta))
-    solution = derivatives = None
+    solution = derivatives = previous = None
     for attempt in range(_MAX_LINEARIZATIONS):
-        begin = point.theta
+        begin, used_steps = point.theta, steps
         noise = problem.smooth_noise(point, inside, loss)
         solution = solve_joint(
             problem,
@@ -373,28 +375,33 @@ def _solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss:
             steps=steps,
             central=True,
             derivatives=derivatives,
+            previous=previous,
             chord=True,
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations
-        is_rough = (roughness(solution.derivatives) > _MAX_ROUGHNESS) & (steps < _ROUGH_STEP)
-        min_steps = np.where(is_rough, np.minimum(2.0 * steps, _ROUGH_STEP), min_steps)
-        bounds = np.clip(sigmas, _MIN_STEP, _MAX_STEP)
+        is_rough = (roughness(solution.derivatives) > _MAX_ROUGHNESS) & (steps < ROUGH_STEP)
+        min_steps = np.where(is_rough, np.minimum(2.0 * steps, ROUGH_STEP), min_steps)
+        bounds = np.clip(sigmas, _MIN_STEP, MAX_STEP)
         steps = np.maximum(bounds, min_steps)
+        # Short waves of two linearizations are independent if their steps differ.
+        steps = np.where(np.abs(np.log(steps / used_steps)) < _OTHER_STEP, _SHORTER * used_steps, steps)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
         counts = linear_clouds(problem, solution, inside, median_deviation(residuals), bounds)
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))
         moved = np.abs(point.theta - begin)
-        is_stale = np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP))
-        is_stale |= is_rough.any()
-        is_done = solution.is_converged and not (removed or is_stale)
+        has_moved = bool(np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP)))
+        is_stale = has_moved or bool(is_rough.any())
+        is_done = solution.is_converged and bool(solution.derivatives.other_slopes) and not (removed or is_stale)
         if is_done or attempt == _MAX_LINEARIZATIONS - 1:
             break
         unpredictable += removed
         for k, n in zip(inside, counts, strict=True):
             problem.used[k] = problem.used[k][:n]
-        is_usable = solution.is_converged and not is_stale
-        derivatives = solution.derivatives.first_clouds(counts) if is_usable else None
+        shorter = solution.derivatives.first_clouds(counts)
+        derivatives = shorter if solution.is_converged and shorter.other_slopes and not is_stale else None
+        # Slopes from afar are others.
+        previous = None if has_moved else shorter
         point = replace_alignment(problem, point, inside, point.eta)
     assert solution is not None
     return solution, unpredictable

@@ -8,6 +8,7 @@ A reader of another format returns a `Recording`. `start.py` turns it into a `Fi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 
 import attrs
 import numpy as np
@@ -17,6 +18,8 @@ from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 
+#: Longest interval between two poses in which a gripper moves along a cubic polynomial [s].
+MAX_POSE_GAP = 0.1
 #: Longest accepted recording [s].
 MAX_DURATION = 3600.0
 #: Largest accepted coordinate of a point [m].
@@ -65,19 +68,34 @@ class RecordedGripper:
         return not grasps or grasps[-1]
 
     def pose_at(self, time: float) -> tuple[list[float], list[float]]:
-        """Return position [m] and quaternion at a time [s], linear between poses and constant outside them."""
+        """Return position [m] and quaternion at a time [s], constant before the first pose and after the last one.
+
+        They are cubic polynomials between poses, with continuous velocities, and straight in gaps. Straight lines
+        between all poses would shake the cloth at every pose.
+        """
         last = len(self.times) - 1
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, max(last - 1, 0)))
-        after = min(k + 1, last)
-        span = self.times[after] - self.times[k]
-        fraction = float(np.clip((time - self.times[k]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
-        before_turn, after_turn = self.quaternions[k], self.quaternions[after]
-        if float(before_turn @ after_turn) < 0.0:
-            after_turn = -after_turn
-        position = (1.0 - fraction) * self.positions[k] + fraction * self.positions[after]
-        turn = (1.0 - fraction) * before_turn + fraction * after_turn
-        turn = turn / np.sqrt(float(turn @ turn))
-        return position.tolist(), turn.tolist()
+        places = np.clip(np.arange(k - 1, k + 3), 0, last)
+        times, turns = self.times[places], self.quaternions[places].copy()
+        for before, turn in pairwise(turns):
+            if float(before @ turn) < 0.0:
+                turn *= -1.0
+        numbers, spans = np.hstack([self.positions[places], turns]), np.diff(times)
+        start, span = numbers[1], float(spans[1])
+        change = numbers[2] - start
+        s = float(np.clip((time - times[1]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+        pose = start + s * change
+        if 0.0 < span <= MAX_POSE_GAP:
+            # Velocities at both ends, minus that of the straight line; a pose beside a gap has the line's velocity.
+            first, second = (
+                (numbers[i + 1] - numbers[i - 1]) * span / (times[i + 1] - times[i - 1]) - change
+                if 0.0 < spans[interval] <= MAX_POSE_GAP
+                else 0.0 * change
+                for i, interval in ((1, 0), (2, 2))
+            )
+            pose = pose + s * (1.0 - s) * ((1.0 - s) * first - s * second)
+        turn = pose[3:] / np.sqrt(float(pose[3:] @ pose[3:]))
+        return pose[:3].tolist(), turn.tolist()
 
 
 @attrs.frozen(eq=False, kw_only=True)

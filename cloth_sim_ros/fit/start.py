@@ -33,6 +33,8 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 SETTLE_TIME = 4.0
 #: Least fraction of visible particles of a cloud that gives the initial shape.
 _MIN_VISIBLE = 0.3
+#: Largest change of a coordinate [m], or of a quaternion's component, of a gripper that has not moved yet.
+_STILL = 5e-3
 
 
 def rest_recording(
@@ -201,10 +203,41 @@ def hanging_state(
         x = x + np.mean(shifts, axis=0)
     for selection in selections:
         particles = list(selection.particles)
+        if len(particles) > 1:
+            x[particles] = _held_shape(recording, scene, selection, start, x[particles])
         x[particles] += np.array(poses[selection.gripper][0]) - x[particles].mean(axis=0)
     anchors = scene.anchored_particles()
     x[anchors] = rest_positions[anchors]
     return _grasping_state(scene, x, selections, poses)
+
+
+def _held_shape(recording: Recording, scene: Scene, selection: GraspedParticles, start: float, x: Array) -> Array:
+    """Return places of the particles of one gripper, with their distances in the rest shape [m], shape (n, 3).
+
+    They are turned to the mean of the clouds before the gripper moves. A single noisy cloud would shorten or stretch
+    the cloth for the whole motion.
+
+    Args:
+        recording: clouds and gripper poses.
+        scene: the cloth.
+        selection: the particles.
+        start: time of the still beginning [s].
+        x: their places in the first cloud [m], for a camera that does not show all of them, shape (n, 3).
+    """
+    particles, track = list(selection.particles), recording.grippers[selection.gripper]
+    begin = np.concatenate(track.pose_at(start))
+    seen = []
+    for time, cloud in zip(recording.times, recording.clouds, strict=True):
+        if float(np.abs(np.concatenate(track.pose_at(float(time))) - begin).max()) > _STILL:
+            break
+        if len(cloud) == len(scene.initial_positions()) and visible(cloud[particles]).all():
+            seen.append(cloud[particles])
+    target = np.mean(seen, axis=0) if recording.matched and seen else x
+    shape = scene.sheet.positions()[particles]
+    shape = shape - shape.mean(axis=0)
+    u, _, vt = np.linalg.svd((target - target.mean(axis=0)).T @ shape)
+    rotation = u @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))]) @ vt
+    return np.asarray(shape @ rotation.T)
 
 
 def _grasping_state(

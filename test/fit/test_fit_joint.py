@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from cloth_sim_ros.fit.joint import Derivatives, roughness
+from cloth_sim_ros.fit.joint import Derivatives, missing_information, roughness
 
 STEPS = np.array([0.1, 0.4])
 
@@ -39,3 +39,26 @@ def test_longer_steps_average_over_short_waves():
 
 def test_parameter_without_effect_has_no_roughness():
     assert roughness(differences(lambda _: np.ones((5, 3)))).tolist() == [0.0, 0.0]
+
+
+def test_products_of_two_slopes_leave_out_short_waves():
+    rng = np.random.default_rng(3)
+    slopes, waves = rng.normal(size=(2, 5000)), 0.7 * rng.normal(size=(2, 2, 5000))
+    first, second = slopes + waves
+    product, mean = 0.5 * (first @ second.T + second @ first.T), 0.5 * (first + second)
+    square = mean @ mean.T
+    exact = slopes @ slopes.T
+    assert np.abs(product - exact).max() < 0.05 * exact[0, 0]
+    assert square[0, 0] > 1.2 * exact[0, 0]
+    # Reliable derivatives lack nothing.
+    assert np.abs(missing_information(product, square, 2)).max() == 0.0
+
+
+def test_information_of_short_waves_alone_keeps_a_tenth():
+    square, product = np.diag([4.0, 9.0, 1.0]), np.diag([3.0, -2.0, 1.0])
+    product[1, 2] = product[2, 1] = square[1, 2] = square[2, 1] = 0.5
+    complete = product.copy()
+    complete[:2, :2] += missing_information(product, square, 2)
+    # Without the third unknown, 9 - 0.25 remain of the square.
+    reduced = complete[:2, :2] - np.outer(complete[:2, 2], complete[2, :2])
+    assert reduced == pytest.approx(np.diag([3.0, 0.1 * 8.75]))

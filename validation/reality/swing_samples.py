@@ -229,11 +229,14 @@ def cloud_times() -> Array:
 
 
 def show(frames: Array, times: Array) -> Array:
-    """Return true positions at the stamps of late clouds [m], shape (times, particles, 3)."""
+    """Return true positions at the stamps of late clouds [m], shape (times, particles, 3).
+
+    A real cloth moves continuously: positions between frames are cubic splines.
+    """
+    from scipy.interpolate import CubicSpline
+
     at = np.clip((times - DELAY) * FRAME_RATE, 0.0, len(frames) - 1.0)
-    below = np.minimum(np.floor(at).astype(int), len(frames) - 2)
-    fraction = (at - below)[:, None, None]
-    return np.asarray((1.0 - fraction) * frames[below] + fraction * frames[below + 1])
+    return np.asarray(CubicSpline(np.arange(len(frames)), frames)(at))
 
 
 def noise_factor() -> Array:
