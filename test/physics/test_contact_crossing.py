@@ -48,8 +48,8 @@ def test_particle_hits_an_obstacle_on_its_path(shape):
 
 def block():
     """Return a mesh of the shape "box"."""
-    made = trimesh.creation.box(SHAPES["box"].size)
-    return Obstacle(name="block", shape="mesh", vertices=made.vertices, triangles=np.array(made.faces))
+    body = trimesh.creation.box(SHAPES["box"].size)
+    return Obstacle(name="block", shape="mesh", vertices=body.vertices, triangles=np.array(body.faces))
 
 
 @pytest.mark.parametrize("name", [*SHAPES, "mesh"])
