@@ -130,9 +130,9 @@ def read_recording(
             grippers = ", ".join(scene.gripper_names) or "none"
             raise FitError(f"{option} names '{unknown[0]}'; the scene's grippers are {grippers}")
     recording = _read(paths, scene, topic, poses or {}, matched, index_field, columns, scale, camera_pose is not None)
-    moved = {name: recording.grippers[name].at(offset) for name, offset in (offsets or {}).items()}
+    moved = {name: recording.grippers[name].offset_by(offset) for name, offset in (offsets or {}).items()}
     recording = attrs.evolve(recording, grippers={**recording.grippers, **moved})
-    return recording if camera_pose is None else recording.seen_from(camera_pose)
+    return recording if camera_pose is None else recording.in_gripper_frame(camera_pose)
 
 
 def _read(

@@ -53,7 +53,7 @@ class RecordedGripper:
             shapes = f"{self.times.shape}, {self.positions.shape} and {self.quaternions.shape}"
             raise FitError(f"times, positions and quaternions have shapes {shapes}; they must be (n,), (n, 3), (n, 4)")
 
-    def at(self, offset: ArrayLike) -> RecordedGripper:
+    def offset_by(self, offset: ArrayLike) -> RecordedGripper:
         """Return the track of a point that is fixed to the gripper.
 
         Args:
@@ -142,16 +142,16 @@ class Recording:
                     f"{self.times[-1]:.3f} s; stamp both by one clock"
                 )
 
-    def seen_from(self, pose: ArrayLike) -> Recording:
+    def in_gripper_frame(self, cloud_pose: ArrayLike) -> Recording:
         """Return the recording with clouds in the grippers' frame.
 
         Args:
-            pose: position [m] and quaternion x, y, z, w of the clouds' frame in the grippers' frame, shape (7,).
+            cloud_pose: position [m] and quaternion x, y, z, w of the clouds' frame in the grippers' frame, shape (7,).
 
         Raises:
             FitError: unless they are finite, with a quaternion other than zero.
         """
-        numbers = _to_array(pose)
+        numbers = _to_array(cloud_pose)
         size = float(np.sqrt(np.square(numbers[3:]).sum())) if numbers.shape == (7,) else 0.0
         if not (np.isfinite(numbers).all() and size > 0.0):
             raise FitError(

@@ -301,7 +301,7 @@ def _initial_state(
 
 
 def _clouds_while_grasped(recording: Recording, track: RecordedGripper) -> NDArray[np.int64]:
-    """Return the indices of the clouds of the first second before a gripper opens: they show its grasped particles."""
+    """Return the indices of the clouds in the first second, before a gripper opens: they show its grasp."""
     seconds, start = recording.times - recording.times[0], float(recording.times[0])
     opening_times = [time - start for time, closed in track.grasps if time > start and not closed]
     is_whole = [len(cloud) == len(recording.clouds[0]) for cloud in recording.clouds]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Output streams of a command."""
+"""Standard output and error of a command: characters that the terminal lacks are escaped."""
 
 from __future__ import annotations
 

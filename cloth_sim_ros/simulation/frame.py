@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Result of one frame."""
+"""Result of one frame: time, events, wrenches, and what bodies and integrator did."""
 
 from __future__ import annotations
 

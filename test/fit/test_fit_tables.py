@@ -288,7 +288,7 @@ def test_camera_pose_and_offset_move_clouds_and_grippers(tmp_path: Path) -> None
     )
     turned = attrs.evolve(plain.grippers["left"], quaternions=[quarter] * len(plain.grippers["left"].times))
     np.testing.assert_allclose(
-        turned.at([0.2, 0.0, 0.0]).positions - turned.positions, [[0.0, 0.2, 0.0]] * 2, atol=1e-15
+        turned.offset_by([0.2, 0.0, 0.0]).positions - turned.positions, [[0.0, 0.2, 0.0]] * 2, atol=1e-15
     )
     with pytest.raises(FitError, match="--offset names 'right'; the scene's grippers are left"):
         read_recording([clouds], SCENE, poses=poses, offsets={"right": [0.0, 0.0, 0.0]})

@@ -69,8 +69,8 @@ inline void list_power(const List& list, const double* x, const double* v, std::
     });
 }
 
-/// Blocks that bound stiffness [N/m] and damping [N s/m], collected particle by particle: xx, yy, zz, xy, then xz and yz
-/// of both, then xx, yy, zz, xy of damping.
+/// Blocks that bound stiffness [N/m] and damping [N s/m]. A particle has 12 numbers: xx, yy, zz, xy, xz, yz of stiffness,
+/// then xz, yz, xx, yy, zz, xy of damping.
 class BoundSums {
 public:
     /// Start from blocks (6, n).

@@ -29,7 +29,7 @@ def advance(
 
     Explicit steps may be abandoned, because they exceed the work limit or create energy. The frame then starts again.
     With contact and a tolerance, single runs within a reserve of work advance it. If that fails too, implicit steps do.
-    They also do without contact, without a tolerance, and if moving bodies leave the cloth no room.
+    Implicit steps are the only fallback without contact, or without a tolerance, or if bodies leave the cloth no room.
 
     Raises:
         UnstableError: if no choice is left and there is no fallback.

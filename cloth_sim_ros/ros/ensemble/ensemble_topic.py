@@ -182,7 +182,7 @@ class EnsembleTopic:
             )
 
     def _encode(self, _: bool) -> list[EnsembleStep]:
-        """Take all waiting frames."""
+        """Take all waiting frames from the queue, as the request to the process."""
         steps = []
         # The node's thread may clear them meanwhile.
         with contextlib.suppress(IndexError):

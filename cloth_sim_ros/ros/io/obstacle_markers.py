@@ -108,7 +108,7 @@ def _marker(kind: int, x: float, y: float, z: float) -> Marker:
 
 
 def _places(data: bytes, marks: Sequence[bytes], length: int) -> NDArray[np.int64]:
-    """Return the indices of the bytes that begin with each of the marks, in this order, shape (marks, length)."""
+    """Return the indices of `length` bytes from each mark on; marks follow one another. Shape (marks, length)."""
     starts, start = [], 0
     for mark in marks:
         start = data.index(mark, start)

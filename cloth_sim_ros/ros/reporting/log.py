@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Throttled logging."""
+"""Log that repeats each kind of message at most once in a period."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> 
 
 
 def text_of(path: str | Path) -> str:
-    """Return the text of a parameter file. It is read once, because it may be a pipe.
+    """Return the text of a parameter file; call it once, because the file may be a pipe.
 
     Raises:
         ParameterError: for a file that can't be read, or is too large.

@@ -313,9 +313,7 @@ def _validated_arrays(positions: ArrayLike, triangles: ArrayLike) -> tuple[Array
 
 
 def _first_copies(points: Array, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Return for each vertex the first used one at the same position, and the number of used vertices that are not
-    first.
-    """
+    """Return the first used vertex at the position of each one, (n,), and the number of used repeats."""
     used = np.unique(faces)
     # 0.0 and -0.0 are one position
     _, first, group = np.unique(points[used] + 0.0, axis=0, return_index=True, return_inverse=True)
