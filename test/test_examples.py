@@ -174,7 +174,6 @@ def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_arm_of_seven_joints_folds_the_towel(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("rclpy")
     import numpy as np
 
     from cloth_sim_ros import MoveObstacles
@@ -183,14 +182,15 @@ def test_arm_of_seven_joints_folds_the_towel(monkeypatch: pytest.MonkeyPatch) ->
     from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
-    import fold_towel
+    assert (ROOT / "examples" / "fold_path.py").exists()
+    import fold_path
 
     values = parameter_file.read(ROOT / "config" / "robot_fold.yaml", strict=True)
     alone = Scene.from_parameters(without_links(values), folder=ROOT / "config")
     description = (ROOT / "config" / "arm_7.urdf").read_bytes()
     extended, files, links = add_links(alone, values, description, folder=ROOT / "config")
-    joints = fold_towel.path(links)
-    times = np.arange(1.0, fold_towel.WAYPOINTS[-1, 0], 1.0 / 60.0)
+    joints = fold_path.path(links)
+    times = np.arange(1.0, fold_path.WAYPOINTS[-1, 0], 1.0 / 60.0)
     assert np.abs(joints(times, 1)).max() < 2.2  # the slowest joint's limit [rad/s]
     scene = Scene.from_parameters(with_poses(extended, links, links.poses(joints(0.0))), files=files)
     simulation, stops = Simulation(scene), PadStops(scene, links)
@@ -203,6 +203,29 @@ def test_arm_of_seven_joints_folds_the_towel(monkeypatch: pytest.MonkeyPatch) ->
     assert abs(edges[0] - edges[1])[:2].max() < 0.03
     assert edges[0][2] > edges[1][2] + 0.5 * scene.contact.thickness
     assert np.abs(simulation.velocities).max() < 0.2
+
+
+def test_fold_towel_publishes_the_path(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy")
+    from sensor_msgs.msg import JointState
+    from support.ros_client import Client
+
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import fold_path
+
+    with Client() as client:
+        states: list[JointState] = []
+        client.node.create_subscription(JointState, "/joint_states", states.append, 1000)
+        arm = start_process([sys.executable, ROOT / "examples" / "fold_towel.py", "--slower", "0.05"])
+        client.spin_until(lambda: "has folded" in arm.output, description="the end of the path")
+        assert arm.wait() == 0, arm.output
+    assert {len(state.position) for state in states} == {8}
+    assert states[0].name[-1] == "finger"
+    openings = [state.position[-1] for state in states]
+    assert openings[-1] == pytest.approx(fold_path.WAYPOINTS[-1, 4], abs=2e-3)
+    assert min(openings) == pytest.approx(0.0, abs=2e-3)
 
 
 def test_pick_node_holds_the_towel_until_it_opens(
