@@ -41,17 +41,9 @@ def test_parameter_without_effect_has_no_roughness():
     assert roughness(differences(lambda _: np.ones((5, 3)))).tolist() == [0.0, 0.0]
 
 
-def test_products_of_two_slopes_leave_out_short_waves():
-    rng = np.random.default_rng(3)
-    slopes, waves = rng.normal(size=(2, 5000)), 0.7 * rng.normal(size=(2, 2, 5000))
-    first, second = slopes + waves
-    product, mean = 0.5 * (first @ second.T + second @ first.T), 0.5 * (first + second)
-    square = mean @ mean.T
-    exact = slopes @ slopes.T
-    assert np.abs(product - exact).max() < 0.05 * exact[0, 0]
-    assert square[0, 0] > 1.2 * exact[0, 0]
-    # Reliable derivatives lack nothing.
-    assert np.abs(missing_information(product, square, 2)).max() == 0.0
+def test_products_above_a_tenth_of_the_square_lack_nothing():
+    square = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.5], [0.0, 0.5, 1.0]])
+    assert np.abs(missing_information(0.2 * square, square, 2)).max() < 1e-12
 
 
 def test_information_of_short_waves_alone_keeps_a_tenth():

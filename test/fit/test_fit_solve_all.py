@@ -11,7 +11,7 @@ import pytest
 from support.motion_samples import scene_of
 
 from cloth_sim_ros.fit.alignment import FIXED, AlignmentModel
-from cloth_sim_ros.fit.joint import JointProblem, JointSolution, scatter_deviations
+from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point, scatter_deviations
 from cloth_sim_ros.fit.motions import MAX_STEP, ROUGH_STEP, solve_all
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import choose_parameters
@@ -99,6 +99,47 @@ def test_smooth_residuals_keep_the_first_steps() -> None:
     assert solution.derivatives.steps.max() <= MAX_STEP
     assert solution.is_converged
     assert solution.point.theta - problem.start == pytest.approx(CHANGE, abs=0.1)
+
+
+def information_of(problem: JointProblem, point: Point, *sets: list[list[list[np.ndarray]]]) -> np.ndarray:
+    """Return the information of all motions by one or two sets of slopes, shape (2, 2)."""
+    none = [[[np.zeros_like(part) for part in row] for row in motion] for motion in sets[0]]
+    derivatives = Derivatives(slopes=sets[0], curvatures=none, steps=np.full(2, 0.1), other_slopes=[])
+    if len(sets) > 1:
+        derivatives.other_slopes = sets[1]
+    selected = range(N_MOTIONS)
+    noise = problem.smooth_noise(point, selected, HUBER)
+    return problem.normal_equations(point, derivatives, selected, noise).information.sum(axis=0)
+
+
+def test_information_omits_short_waves_of_two_linearizations() -> None:
+    problem, solution = solve(waves=0.0)
+    exact, random = solution.derivatives.slopes, np.random.default_rng(4)
+
+    def with_waves(scale: float) -> list[list[list[np.ndarray]]]:
+        return [
+            [[scale * part + random.normal(scale=0.01, size=part.shape) for part in row] for row in motion]
+            for motion in exact
+        ]
+
+    first, second = with_waves(1.0), with_waves(1.0)
+    expected = information_of(problem, solution.point, exact)[0, 0]
+    assert information_of(problem, solution.point, first, second)[0, 0] == pytest.approx(expected, rel=0.2)
+    assert information_of(problem, solution.point, first)[0, 0] > 1.5 * expected
+    # Slopes that are short waves alone keep a tenth of their square.
+    first, second = with_waves(0.0), with_waves(0.0)
+    prior = np.diag(problem.prior(solution.point)[0])
+    means = [
+        [[0.5 * (a + b) for a, b in zip(*rows, strict=True)] for rows in zip(*motions, strict=True)]
+        for motions in zip(first, second, strict=True)
+    ]
+    shares = np.linalg.eigvals(
+        np.linalg.solve(
+            information_of(problem, solution.point, means) + prior,
+            information_of(problem, solution.point, first, second) + prior,
+        )
+    )
+    assert shares.real.min() == pytest.approx(0.1, abs=0.05)
 
 
 def test_deviations_are_of_noise_or_of_larger_scatter() -> None:
