@@ -287,10 +287,10 @@ class JointProblem:
         gradient = np.zeros((len(selected), p + q))
         loss = np.zeros(len(selected))
         for row, k in enumerate(selected):
-            kinds, places = self.alignment.columns(k)
+            components, places = self.alignment.columns(k)
             alignment = self.alignment.alignment(point.eta, k)
             by_alignment = alignment_derivatives(
-                self.recordings[k], point.trajectories[row], alignment, self.pivot, self.used[k], kinds.tolist()
+                self.recordings[k], point.trajectories[row], alignment, self.pivot, self.used[k], components.tolist()
             )
             columns = np.concatenate([np.arange(p), p + places])
             for c, cloud in enumerate(self.used[k]):
