@@ -444,10 +444,10 @@ def _line_search(
     step: Array,
     fixed: tuple[Derivatives, Array] | None,
 ) -> Point | None:
-    """Return a point along a step with a lower loss; None if there is none.
+    """Return the first point along a step that improves on the start; None if there is none.
 
-    With fixed derivatives and their information, the next step must be smaller instead. Short waves of a limp cloth
-    change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
+    It has a lower loss. With fixed derivatives and their information, the next step must be smaller instead. Short
+    waves of a limp cloth change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
     """
 
     def cost(at: Point) -> float:
