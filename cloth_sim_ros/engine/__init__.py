@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The C++ engine: every force law once, the loops over particles, and whole frames in one call.
+"""The C++ engine: every force law once, the loops over particles, and all steps of a run in one call.
 
 Arrays in, arrays out: the engine knows no scene, no file, no clock and no ROS. Begin with `laws/` (the force laws),
 then `grid/row.hpp` (one step of one row of a sheet), `plan/frame.hpp` (a frame) and `api/cloth_sim.hpp` (the C

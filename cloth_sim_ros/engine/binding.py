@@ -243,7 +243,7 @@ def engine_name() -> str:
 
 
 def check(status: int) -> None:
-    """Raise the error of a status.
+    """Raise the error that a status of an engine function stands for.
 
     Raises:
         MemoryError: if there is not enough memory.

@@ -52,7 +52,7 @@ class Alignment:
         return (x - pivot) @ rotation_of(self.rotation).T + pivot + np.array(self.shift)
 
     def from_camera(self, x: Array, pivot: Array) -> Array:
-        """Return the places of shown points [m], shape (..., 3)."""
+        """Return the true positions of points that the camera shows [m], shape (..., 3)."""
         return (x - pivot - np.array(self.shift)) @ rotation_of(self.rotation) + pivot
 
 
@@ -108,25 +108,28 @@ class AlignmentModel:
         return [self.columns(k)[1] for k in range(self.n_recordings)]
 
     def columns(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return which of the seven unknowns a recording has, and their places in the vector."""
-        kinds, places = list[int](), list[int]()
+        """Return which of the seven unknowns a recording has, and their places in the vector.
+
+        Component 0 is the time offset, 1 to 3 are the rotation, 4 to 6 the shift.
+        """
+        components, places = list[int](), list[int]()
         n_time = {FIXED: 0, SHARED: 1, PER_RECORDING: self.n_recordings}[self.time]
         if n_time:
-            kinds.append(0)
+            components.append(0)
             places.append(index if self.time == PER_RECORDING else 0)
         first = 1 if self.camera != FIXED else 4
         if self.camera != FIXED or self.has_shift:
             width, block = 7 - first, index if self.camera == PER_RECORDING else 0
-            kinds += range(first, 7)
+            components += range(first, 7)
             places += range(n_time + block * width, n_time + (block + 1) * width)
-        return np.array(kinds, dtype=np.int64), np.array(places, dtype=np.int64)
+        return np.array(components, dtype=np.int64), np.array(places, dtype=np.int64)
 
     def prior_sigmas(self) -> Array:
         """Return the standard deviation of each unknown's prior, shape (unknowns,)."""
         sigmas = np.ones(self.n_unknowns)
         for k in range(self.n_recordings):
-            kinds, places = self.columns(k)
-            sigmas[places] = np.array(PRIOR_SIGMAS)[kinds]
+            components, places = self.columns(k)
+            sigmas[places] = np.array(PRIOR_SIGMAS)[components]
         return sigmas
 
     def is_shared(self) -> NDArray[np.bool_]:
@@ -138,22 +141,22 @@ class AlignmentModel:
 
     def alignment(self, unknowns: Array, index: int) -> Alignment:
         """Return the alignment of a recording."""
-        kinds, places = self.columns(index)
+        components, places = self.columns(index)
         numbers = np.zeros(7)
-        numbers[kinds] = unknowns[places]
+        numbers[components] = unknowns[places]
         return Alignment(offset=float(numbers[0]), rotation=tuple(numbers[1:4]), shift=tuple(numbers[4:]))
 
     def write_alignment(self, unknowns: Array, index: int, alignment: Alignment) -> None:
         """Write the alignment of a recording into the vector."""
-        kinds, places = self.columns(index)
-        unknowns[places] = np.array([alignment.offset, *alignment.rotation, *alignment.shift])[kinds]
+        components, places = self.columns(index)
+        unknowns[places] = np.array([alignment.offset, *alignment.rotation, *alignment.shift])[components]
 
     def clamp(self, unknowns: Array, offsets: tuple[float, float]) -> Array:
         """Return the vector with time offsets between two limits [s]."""
         clamped = unknowns.copy()
         for k in range(self.n_recordings):
-            kinds, places = self.columns(k)
-            times = places[kinds == 0]
+            components, places = self.columns(k)
+            times = places[components == 0]
             clamped[times] = np.clip(clamped[times], *offsets)
         return clamped
 
@@ -194,19 +197,28 @@ def alignment_derivatives(
     alignment: Alignment,
     pivot: Array,
     clouds: NDArray[np.int64],
-    kinds: Sequence[int],
+    components: Sequence[int],
 ) -> list[list[Array]]:
-    """Return the derivatives of `cloud_residuals` by some of the seven unknowns, for each unknown and cloud."""
+    """Return the derivatives of `cloud_residuals` by some of the seven unknowns, for each unknown and cloud.
+
+    Args:
+        recording: the clouds.
+        trajectory: simulated motion.
+        alignment: time offset and camera pose.
+        pivot: centre of the camera's rotation [m], shape (3,).
+        clouds: indices of the clouds.
+        components: the unknowns, numbered as by `AlignmentModel.columns`.
+    """
     numbers = np.array([alignment.offset, *alignment.rotation, *alignment.shift])
     derivatives = []
-    for kind in kinds:
+    for component in components:
         sides = []
         for sign in (1.0, -1.0):
             moved = numbers.copy()
-            moved[kind] += sign * _STEPS[kind]
+            moved[component] += sign * _STEPS[component]
             changed = Alignment(offset=float(moved[0]), rotation=tuple(moved[1:4]), shift=tuple(moved[4:]))
             sides.append(cloud_residuals(recording, trajectory, changed, pivot, clouds))
-        derivatives.append([(a - b) / (2.0 * _STEPS[kind]) for a, b in zip(*sides, strict=True)])
+        derivatives.append([(a - b) / (2.0 * _STEPS[component]) for a, b in zip(*sides, strict=True)])
     return derivatives
 
 

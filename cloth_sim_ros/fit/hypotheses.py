@@ -179,7 +179,7 @@ def score_hypotheses(
     *,
     values: Sequence[float],
     selected: Sequence[int],
-    kinds: tuple[str, str],
+    variations: tuple[str, str],
     settle_time: float,
     pool: TrajectoryPool,
     on_progress: Callable[[int], None] = lambda _runs: None,
@@ -193,7 +193,7 @@ def score_hypotheses(
         parameters: the fit's parameters.
         values: their values, in their units.
         selected: indices of the compared recordings.
-        kinds: kind of the time offset and of the camera pose, see `AlignmentModel`.
+        variations: variation of the time offset and of the camera pose between recordings, see `AlignmentModel`.
         settle_time: settling time [s].
         pool: processes of the simulations.
         on_progress: called with the number of simulations since the last call.
@@ -201,7 +201,11 @@ def score_hypotheses(
     results = []
     for particles in combinations:
         model = AlignmentModel(
-            n_recordings=len(selected), time=kinds[0], camera=kinds[1], has_shift=True, pivot=pivot_of(recordings)
+            n_recordings=len(selected),
+            time=variations[0],
+            camera=variations[1],
+            has_shift=True,
+            pivot=pivot_of(recordings),
         )
         prepared = [
             motion_recording(

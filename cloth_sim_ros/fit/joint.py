@@ -287,10 +287,10 @@ class JointProblem:
         gradient = np.zeros((len(selected), p + q))
         loss = np.zeros(len(selected))
         for row, k in enumerate(selected):
-            kinds, places = self.alignment.columns(k)
+            components, places = self.alignment.columns(k)
             alignment = self.alignment.alignment(point.eta, k)
             by_alignment = alignment_derivatives(
-                self.recordings[k], point.trajectories[row], alignment, self.pivot, self.used[k], kinds.tolist()
+                self.recordings[k], point.trajectories[row], alignment, self.pivot, self.used[k], components.tolist()
             )
             columns = np.concatenate([np.arange(p), p + places])
             for c, cloud in enumerate(self.used[k]):
@@ -444,10 +444,10 @@ def _line_search(
     step: Array,
     fixed: tuple[Derivatives, Array] | None,
 ) -> Point | None:
-    """Return a point along a step with a lower loss; None if there is none.
+    """Return the first point along a step that improves on the start; None if there is none.
 
-    With fixed derivatives and their information, the next step must be smaller instead. Short waves of a limp cloth
-    change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
+    It has a lower loss. With fixed derivatives and their information, the next step must be smaller instead. Short
+    waves of a limp cloth change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
     """
 
     def cost(at: Point) -> float:

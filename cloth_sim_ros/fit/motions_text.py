@@ -92,9 +92,9 @@ def describe_choice(choice: GraspChoice) -> Iterator[str]:
 def _alignment_lines(fit: MotionFit) -> Iterator[str]:
     model, sigmas = fit.alignment_model, fit.alignment_sigmas
 
-    def sigma(kind: int) -> float:
-        kinds, places = model.columns(0)
-        return float(sigmas[places[kinds == kind]][0]) if kind in kinds else math.nan
+    def sigma(component: int) -> float:
+        components, places = model.columns(0)
+        return float(sigmas[places[components == component]][0]) if component in components else math.nan
 
     first = fit.alignments[0]
     if model.time == PER_RECORDING:

@@ -82,7 +82,7 @@ def fit_real(
             scene=scene,
             parameters=parameters,
             settle_time=settle_time,
-            kinds=(time_offset, camera_pose),
+            variations=(time_offset, camera_pose),
             pool=pool,
             on_progress=on_progress,
         )
@@ -183,7 +183,7 @@ class _Chooser:
     scene: Scene
     parameters: Sequence[FitParameter]
     settle_time: float
-    kinds: tuple[str, str]
+    variations: tuple[str, str]
     pool: TrajectoryPool
     on_progress: Callable[[int], None]
 
@@ -223,7 +223,7 @@ class _Chooser:
             self.parameters,
             values=values,
             selected=selected,
-            kinds=self.kinds,
+            variations=self.variations,
             settle_time=self.settle_time,
             pool=self.pool,
             on_progress=self.on_progress,

@@ -57,7 +57,7 @@ class Screened:
     n_shortened: int
 
     def left_out(self) -> LeftOut:
-        """Return the numbers of other clouds."""
+        """Return the numbers of clouds that were left out."""
         return LeftOut(empty=self.n_empty, wrong_scale=self.n_wrong_scale, shortened=self.n_shortened)
 
 

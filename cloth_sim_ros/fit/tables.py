@@ -188,7 +188,7 @@ def _read_csv(
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Return some names as text."""
+    """Return the first names as text, and how many more there are; `none` without names."""
     more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return ", ".join(names[:_MAX_LISTED]) + more or "none"
 

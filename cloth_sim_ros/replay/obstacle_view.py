@@ -42,7 +42,7 @@ class ObstacleView:
         self._shown: dict[tuple[str, int], bytes | None] = {}
 
     def show(self, moment: Moment, data: bytes | memoryview) -> None:
-        """Show a MarkerArray.
+        """Show the obstacles of a serialized MarkerArray at a moment.
 
         Raises:
             SessionError: if the bytes are not one.

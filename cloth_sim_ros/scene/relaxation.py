@@ -25,7 +25,7 @@ def factor_of(state: State) -> float:
 
 
 def set_factor(state: State, factor: float) -> None:
-    """Set the factor on the scene's tolerance, from 1 to `MAX_FACTOR`."""
+    """Store in a state the factor by which the scene's tolerance is relaxed, from 1 to `MAX_FACTOR`."""
     if factor == 1.0:
         state.memory.pop(MEMORY_KEY, None)
     else:

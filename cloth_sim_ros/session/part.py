@@ -73,7 +73,7 @@ class Message(NamedTuple):
 
 
 class SessionPart:
-    """One file of a session.
+    """One file of a session, for reading.
 
     Call `chunks` and `messages` again while the file grows; they continue at the current position. Damaged records are
     skipped and reported in `damage`, or raised as DamagedSessionError if `strict`.

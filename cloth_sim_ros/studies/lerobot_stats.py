@@ -32,7 +32,7 @@ def statistics(values: NDArray[np.generic]) -> Statistics:
 
 
 def aggregate(episodes: Sequence[dict[str, Statistics]]) -> dict[str, Statistics]:
-    """Return the statistics of all episodes.
+    """Pool the statistics of episodes into those of the dataset, by feature.
 
     Quantiles are means over the episodes, weighted by their frames, as in LeRobot. All others are exact.
     """

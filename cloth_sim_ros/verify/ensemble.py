@@ -44,7 +44,7 @@ class _Step(NamedTuple):
 
 
 class EnsembleCheck:
-    """Compares the clouds of one node's ensemble.
+    """Compares the clouds of one node's ensemble with members that run again.
 
     Args:
         node: resolved name of the node.

@@ -18,7 +18,7 @@ class Extrapolated(ExplicitIntegrator):
     of the leapfrog. With a tolerance, number of runs and steps follow the error. The difference of the combinations of
     K + 1 and K runs is the error estimate of the latter.
 
-    A further run gives an estimate at least every 16 frames, or every 64 if the error is far below its budget. Events
+    A further run gives an estimate at least every 0.25 s, or every second if the error is far below its budget. Events
     and faster motion cause an estimate too. Between estimates the error is predicted from the difference of the present
     runs.
 
@@ -50,6 +50,6 @@ class Extrapolated(ExplicitIntegrator):
         work: float = 0.0,
     ) -> None:
         if not 1 <= n_runs <= MAX_COMBINED_RUNS:
-            raise ValueError(f"columns is {n_runs}; it must be from 1 to {MAX_COMBINED_RUNS}")
+            raise ValueError(f"n_runs is {n_runs}; it must be from 1 to {MAX_COMBINED_RUNS}")
         self.step, self.tolerance, self.work = check_settings(step, tolerance, work)
         self.n_runs, self.order = n_runs, n_runs + 1

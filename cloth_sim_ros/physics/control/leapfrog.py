@@ -32,7 +32,7 @@ class ExplicitIntegrator(Integrator):
 
 @with_old_names(columns="n_runs")
 class Leapfrog(ExplicitIntegrator):
-    """Leapfrog (velocity Verlet): drift, kick, drift.
+    """Leapfrog (position Verlet): drift, kick, drift. Velocity Verlet is the same method from a kick on.
 
     Velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
 

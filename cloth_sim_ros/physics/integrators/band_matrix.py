@@ -29,7 +29,7 @@ _PARALLEL_FACTOR_OPERATIONS, _PARALLEL_SOLVE_SIZE = 8_000_000, 2_000_000
 
 @cache
 def _second_thread() -> ThreadPoolExecutor:
-    """The second thread."""
+    """Return the executor of the process's second thread."""
     return ThreadPoolExecutor(1, thread_name_prefix="band")
 
 

@@ -108,7 +108,7 @@ class RobotStart:
         return self._description
 
     def _await_poses(self, links: RobotLinks, settings: RobotParameters) -> Array:
-        """Wait for the poses of the links; return them, shape (count, 7)."""
+        """Wait until joint states or TF give the poses of all links; return them, shape (count, 7)."""
         poses: list[Array] = []
         reason = ""
 

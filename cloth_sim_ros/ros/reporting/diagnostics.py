@@ -43,7 +43,7 @@ class FrameTally:
         self.longest = max(self.longest, seconds)
 
     def begin(self) -> None:
-        """Restart the time measurement."""
+        """Restart the time measurement; counts stay."""
         self._since = self._begun = time.monotonic()
 
     def overall_factor(self, period: float) -> float:

@@ -148,14 +148,14 @@ class HingeShape:
 
     def length(self, kind: Length) -> Array:
         """Return the signed length h [m] of S8 (`crossed`) or S9 (`altitude`)."""
-        a, b, c = self._areas(kind)
+        a, b, c = self._squared_area(kind)
         t = self.cosine
         area = np.sqrt(np.maximum(a + b * t + c * t * t, 0.0))
         return self._volume() * self.sine / area
 
     def length_slope(self, kind: Length) -> Array:
         """Return dh/dθ [m]: e h0 h1 / M when flat."""
-        a, b, c = self._areas(kind)
+        a, b, c = self._squared_area(kind)
         t, s = self.cosine, self.sine
         square = a + b * t + c * t * t
         return self._volume() * (t / np.sqrt(square) + s * s * (b + 2.0 * c * t) / (2.0 * square * np.sqrt(square)))
@@ -166,7 +166,7 @@ class HingeShape:
         Scaled by it, the closed curve of (L, h) is as wide as it is high. The energies of S7 and of S8 or S9 then have
         equal depth.
         """
-        a, b, c = self._areas(kind)
+        a, b, c = self._squared_area(kind)
         # h² = (6V)² (1 - t²) / (a + b t + c t²) is largest where b t² + 2 (a + c) t + b = 0, |t| < 1
         t = -b / (a + c + np.sqrt(np.maximum((a + c) ** 2 - b * b, 0.0)))
         sine2 = np.maximum(1.0 - t * t, 0.0)
@@ -183,8 +183,8 @@ class HingeShape:
         height_part = h0 * h0 + h1 * h1 + 2.0 * h0 * h1 * np.asarray(t)
         return np.maximum(height_part + (self.foot1 - self.foot0) ** 2, 0.0)
 
-    def _areas(self, kind: Length) -> tuple[Array, Array, Array]:
-        """Return the coefficients of M² = a + b t + c t² [m^4]."""
+    def _squared_area(self, kind: Length) -> tuple[Array, Array, Array]:
+        """Return a, b, c of the squared area M² = a + b t + c t² [m^4], with the cosine t of the fold."""
         a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":
