@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 24
+ABI = 25
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -57,6 +57,7 @@ KINDS = {
     "mass_quad": (10, 4, 0),
     "quadratic": (11, 4, 4),
     "stiffening_membrane": (12, 3, 6),
+    "coupling": (13, 2, 1),
 }
 #: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")

@@ -7,6 +7,7 @@ Parts that the scene does not use are not built.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
@@ -559,10 +560,10 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
                 viscosity=material.viscosity,
             )
         ]
-    if scene.bending.model in ("opposite", "crossed", "altitude", "quadratic"):
+    if scene.bending.model not in ("none", "axial"):
         # A pair that has a spring gets no second one. Across a cell's diagonal that spring is the other diagonal.
         shear = [force.pairs for force in forces if force.name == "shear" and isinstance(force, GridSprings)]
-        forces.extend(hinge_springs(scene, sheet, masses, shear[0] if shear else existing))
+        forces.extend(bending_forces(scene, sheet, masses, shear[0] if shear else existing))
     return forces
 
 
@@ -598,8 +599,11 @@ def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array
     return angles if default is None else np.where(np.isnan(angles), default, angles)
 
 
-def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
-    """Build the bending forces: S7 (opposite), S7 and S8 (crossed), S7 and S9 (altitude), or quadratic hinges.
+def bending_forces(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
+    """Build the bending forces of hinges or triangles.
+
+    Hinges have S7 (opposite), S7 and S8 (crossed), S7 and S9 (altitude), or are quadratic. Triangles have a shape
+    operator.
 
     Raises:
         ValueError: for raw springs whose triangles are no surface, or whose rest lengths make no triangle.
@@ -607,6 +611,8 @@ def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: ND
     from cloth_sim_ros.physics.model.sheets import bending as calibration
 
     model = scene.bending.model
+    if model == "shape_operator":
+        return [_shape_operator_couplings(scene, sheet, masses)]
     rest_positions = sheet.positions()
     modulus = scene.material.bending_modulus
     options: dict[str, Any] = {}
@@ -657,3 +663,32 @@ def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: ND
             **options,
         )
     ]
+
+
+def _shape_operator_couplings(scene: PhysicsScene, sheet: Sheet, masses: Array) -> Force:
+    """Build the bending force of triangles with a shape operator.
+
+    Raises:
+        ValueError: for a sheet that is not flat at rest.
+    """
+    from cloth_sim_ros.physics.model.sheets.bending import check_flat
+    from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
+    from cloth_sim_ros.physics.model.sheets.shape_operator import ShapeOperator
+
+    bending = scene.bending
+    if isinstance(sheet, RawSprings):
+        raise ParameterError("bending.model 'shape_operator' is not for cloth.springs; choose quadratic, or none")
+    if bending.rest_angle or bending.rest_angles:
+        name, value = ("rest_angle", bending.rest_angle) if bending.rest_angle else ("rest_angles", bending.rest_angles)
+        raise ParameterError(
+            f"bending.{name} is {value!r}, and shape operators are flat at rest; remove it, or choose crossed or "
+            "altitude"
+        )
+    positions, triangles = sheet.positions(), sheet.triangles()
+    if isinstance(sheet, MeshSheet) and not bending.flat:
+        hinges = sheet.surface.hinges
+        check_flat(hinges, HingeShape.of(hinges, positions), "shape operators")
+    warp, weft = bending_moduli(scene)
+    operator = ShapeOperator.of(triangles, positions, warp=scene.material.warp_direction)
+    moduli = (warp, weft, 0.5 * math.sqrt(warp * weft))
+    return operator.couplings(moduli, damping=scene.material.damping, masses=masses)

@@ -186,7 +186,8 @@ class MaterialParameters:
     bending_modulus: float = parameter(
         "double",
         0.0,
-        "Moment per width and curvature; required by crossed, altitude and quadratic bending, unused by other models",
+        "Moment per width and curvature; required by crossed, altitude, quadratic and shape_operator bending, "
+        "unused by other models",
         unit="N m",
         min=0.0,
         max=1e6,
@@ -234,6 +235,10 @@ class MembraneParameters:
     )
 
 
+#: Models of bending that take a bending modulus.
+MODULUS_MODELS = ("crossed", "altitude", "quadratic", "shape_operator")
+
+
 @attrs.frozen(kw_only=True)
 class BendingParameters:
     """Resistance to bending."""
@@ -242,8 +247,9 @@ class BendingParameters:
         "string",
         "axial",
         "Springs that resist bending: none; axial (two apart along a grid's axes); opposite (S7); crossed (S7 and S8); "
-        "altitude (S7 and S9); quadratic (hinges that are flat at rest)",
-        choices=("none", "axial", "opposite", "crossed", "altitude", "quadratic"),
+        "altitude (S7 and S9); quadratic (hinges that are flat at rest); shape_operator (curvatures of triangles that "
+        "are flat at rest, on any mesh and for any direction of the threads)",
+        choices=("none", "axial", "opposite", "crossed", "altitude", "quadratic", "shape_operator"),
     )
     stiffness: float = parameter(
         "double",

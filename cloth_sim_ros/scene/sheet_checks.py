@@ -10,12 +10,13 @@ from typing import Any
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
+from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.build import (
     PhysicsScene,
     Sheet,
     anchored_particles,
+    bending_forces,
     grid_threads_of,
-    hinge_springs,
     joined_particles,
     membrane_forces,
     obstacle_joints,
@@ -89,20 +90,20 @@ def check_sheet(scene: PhysicsScene) -> None:
         except ValueError as error:
             name = "bending_modulus" if modulus else "bending_modulus_weft"
             raise ParameterError(f"material.{name} is {getattr(scene.material, name)} N m: {error}") from error
-    if model in ("crossed", "altitude", "quadratic") and not modulus:
+    if model in sections.MODULUS_MODELS and not modulus:
         raise ParameterError(
             f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
         )
-    if model == "quadratic" and not is_accepted:
+    if model in ("quadratic", "shape_operator") and not is_accepted:
         try:
-            hinge_springs(scene, sheet, sheet.masses(1.0), None)
+            bending_forces(scene, sheet, sheet.masses(1.0), None)
         except ParameterError:
             raise
         except ValueError as error:
-            raise ParameterError(f"bending.model is 'quadratic': {error}") from error
+            raise ParameterError(f"bending.model is '{model}': {error}") from error
     if model not in ("none", "axial") and (isinstance(sheet, RawSprings) or bending.rest_angles):
         try:
-            hinge_springs(scene, sheet, sheet.masses(1.0), None)
+            bending_forces(scene, sheet, sheet.masses(1.0), None)
         except ParameterError:
             raise
         except ValueError as error:
@@ -131,7 +132,7 @@ def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
                 "are alike in all directions: set membrane.model to triangles, or stretch_modulus_weft to 0.0"
             )
     warp, weft = bending_moduli(scene)
-    if warp == weft or scene.bending.model not in ("crossed", "altitude", "quadratic"):
+    if warp == weft or scene.bending.model not in sections.MODULUS_MODELS:
         return
     if isinstance(sheet, RawSprings):
         raise ParameterError(
@@ -140,11 +141,13 @@ def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
         )
     if not warp > 0.0:
         raise ParameterError(f"material.bending_modulus_weft is {weft} N m without bending_modulus; set both")
+    if scene.bending.model == "shape_operator":
+        return
     if isinstance(sheet, GridSheet):
         along_grid(scene, (warp, weft), "material.bending_modulus")
     else:
         try:
-            hinge_springs(scene, sheet, sheet.masses(1.0), None)
+            bending_forces(scene, sheet, sheet.masses(1.0), None)
         except ValueError as error:
             raise ParameterError(
                 f"material.bending_modulus_weft is {weft} N m beside bending_modulus {warp} N m: {error}"

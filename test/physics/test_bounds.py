@@ -132,7 +132,7 @@ def test_bounds_of_a_grasped_mesh_are_below_its_largest_block(values):
     assert np.isnan(simulation.plan.spectral_bounds(x)[0])
 
 
-@pytest.mark.parametrize("bending", ["none", "crossed", "altitude", "quadratic"])
+@pytest.mark.parametrize("bending", ["none", "crossed", "altitude", "quadratic", "shape_operator"])
 @pytest.mark.parametrize("crumpled", [0.0, 0.01])
 @pytest.mark.parametrize("scale", [1e-6, 1e-3])
 def test_bounds_of_an_irregular_mesh_are_tight_upper_bounds(bending, crumpled, scale):

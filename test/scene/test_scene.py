@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
@@ -152,10 +153,11 @@ def test_mass_is_density_times_area_and_top_edge_is_anchored():
         ("crossed", ["opposite", "crossed"]),
         ("altitude", ["opposite", "altitude"]),
         ("quadratic", ["quadratic"]),
+        ("shape_operator", ["shape_operator"]),
     ],
 )
 def test_bending_model_adds_only_its_forces(model, names):
-    modulus = 1e-4 if model in ("crossed", "altitude", "quadratic") else 0.0
+    modulus = 1e-4 if model in sections.MODULUS_MODELS else 0.0
     values = {"bending.model": model, "material.bending_modulus": modulus, "cloth.resolution": [5, 6]}
     forces = [force.name for force in Scene.from_parameters(values).model().forces]
     assert forces == ["structural", "shear", *names, "gravity", "drag", "air", "grips"]

@@ -76,6 +76,7 @@ def variants() -> list[Variant]:
         make("bending", "active, crossed", {"bending.model": "crossed", **_BENDING}),
         make("bending", "active, altitude", {"bending.model": "altitude", **_BENDING}),
         make("bending", "active, quadratic", {"bending.model": "quadratic", **_BENDING}),
+        make("bending", "active, shape operator", {"bending.model": "shape_operator", **_BENDING}),
         make("gripper", "absent"),
         make("gripper", "idle", gripper),
         make("gripper", "active, holding", gripper, holds=True),

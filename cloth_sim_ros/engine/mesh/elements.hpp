@@ -24,27 +24,31 @@ enum class Kind : int {
     mass3,
     mass4,
     quadratic,
-    stiffening_membrane
+    stiffening_membrane,
+    coupling
 };
 /// Whether elements are panels of air, which have common parameters alone.
 inline constexpr bool is_panel(Kind kind) { return kind == Kind::panel3 || kind == Kind::panel4; }
 /// Whether elements are panels with added mass.
 inline constexpr bool is_mass(Kind kind) { return kind == Kind::mass3 || kind == Kind::mass4; }
 inline constexpr bool is_membrane(Kind kind) { return kind == Kind::membrane || kind == Kind::stiffening_membrane; }
+/// Whether the damping of all elements is their stiffness times one time.
+inline constexpr bool has_damping_time(Kind kind) { return kind == Kind::quadratic || kind == Kind::coupling; }
 /// Number of particles of an element, and of parameters of its own.
 inline constexpr int corners_of(Kind kind) {
     if (kind == Kind::panel3 || kind == Kind::mass3 || is_membrane(kind)) return 3;
-    return kind == Kind::spring || kind == Kind::joint ? 2 : 4;
+    return kind == Kind::spring || kind == Kind::joint || kind == Kind::coupling ? 2 : 4;
 }
 inline constexpr int params_of(Kind kind) {
     if (is_panel(kind) || is_mass(kind)) return 0;
     if (kind == Kind::quadratic) return 4;
+    if (kind == Kind::coupling) return 1;
     return kind == Kind::joint ? 2 : is_membrane(kind) ? 6 : 3;
 }
 /// Number of parameters that all elements of a list have in common.
 inline constexpr int common_of(Kind kind) {
     if (kind == Kind::stiffening_membrane) return 14;
-    if (kind == Kind::quadratic) return 1;
+    if (has_damping_time(kind)) return 1;
     return is_panel(kind) || is_mass(kind) ? 5 : kind == Kind::membrane ? 8 : 0;
 }
 inline constexpr int max_params = 6, max_common = 14;
@@ -70,8 +74,8 @@ public:
         if (numbers) this->params.assign(params, params + count * numbers);
         if (common) std::copy(common, common + common_of(kind), this->common);
         slow = kind == Kind::crossed || kind == Kind::altitude;
-        damped = is_panel(kind) || is_mass(kind) || (kind == Kind::quadratic && this->common[0] > 0.0);
-        for (std::int64_t e = 0; !damped && kind != Kind::quadratic && e < count; ++e)
+        damped = is_panel(kind) || is_mass(kind) || (has_damping_time(kind) && this->common[0] > 0.0);
+        for (std::int64_t e = 0; !damped && !has_damping_time(kind) && e < count; ++e)
             damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
 

@@ -36,7 +36,7 @@ HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
 ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160)
 ELEMENT_OPERATIONS |= {"membrane": 130, "stiffening_membrane": 160, "mass_triangle": 240, "mass_quad": 300}
-ELEMENT_OPERATIONS |= {"quadratic": 120}
+ELEMENT_OPERATIONS |= {"quadratic": 120, "coupling": 40}
 
 
 @attrs.define(eq=False)

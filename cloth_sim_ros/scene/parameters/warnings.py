@@ -7,6 +7,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable
 
+from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.thread_directions import axial_stiffness, bending_moduli, stretch_moduli
 
@@ -66,12 +67,12 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (
         ("bending.stiffness_weft",),
         lambda scene: scene.bending.model != "axial",
-        "only axial bending uses it; crossed, altitude and quadratic take material.bending_modulus_weft",
+        "only axial bending uses it; others take material.bending_modulus_weft",
     ),
     (
         ("material.bending_modulus_weft",),
-        lambda scene: scene.bending.model not in ("crossed", "altitude", "quadratic"),
-        "only crossed, altitude and quadratic bending use it",
+        lambda scene: scene.bending.model not in sections.MODULUS_MODELS,
+        "only crossed, altitude, quadratic and shape_operator bending use it",
     ),
     (
         ("material.warp_direction",),
@@ -81,7 +82,7 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (
         ("bending.stiffness",),
         lambda scene: scene.bending.model not in ("axial", "opposite"),
-        "only axial and opposite bending use it; crossed, altitude and quadratic take material.bending_modulus",
+        "only axial and opposite bending use it; others take material.bending_modulus",
     ),
     (
         ("bending.rest_angle", "bending.rest_angles", "bending.flat"),

@@ -35,7 +35,7 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.band import fixed_sum
 from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
@@ -177,13 +177,7 @@ def bending_terms(
         raise ValueError(f"bending model '{model}' takes hinge_constants (k_θ in N m), not spring_stiffness")
     if model == "quadratic":
         constants = np.asarray(hinge_constants, dtype=np.float64)
-        bent = np.flatnonzero((np.abs(shape.sine) > _FLAT_SINE) | (shape.cosine < 0.0))
-        if bent.size:
-            raise ValueError(
-                f"hinge {bent[0]} {quads[bent[0]].tolist()} rests at a fold of sine {shape.sine[bent[0]]:.3g}, "
-                f"cosine {shape.cosine[bent[0]]:.3g}, and quadratic hinges are flat at rest; set "
-                "bending.flat to true and no rest angle, or choose 'crossed' or 'altitude'"
-            )
+        check_flat(quads, shape, "quadratic hinges")
         weights = hinge_weights(shape) if weights is None else weights
         return [QuadraticHinges(quads, weights, constants, _damping_time(damping, constants, weights, mass[quads]))]
     stiffness, opposite_stiffness = spring_constants(model, shape, hinge_constants, ratio=ratio)
@@ -195,6 +189,26 @@ def bending_terms(
     else:
         hinge_springs = CrossedSprings(quads[:, :2], quads[:, 2:], rest_length, stiffness, k_d)
     return [_opposite_springs(quads, distance, opposite_stiffness * distance, has_spring, damping, mass), hinge_springs]
+
+
+def check_flat(hinges: NDArray[np.int64], shape: HingeShape, subject: str) -> None:
+    """Refuse hinges (m, 4) of a rest shape that is not flat, for bending that is.
+
+    Args:
+        hinges: particles of the hinges.
+        shape: hinges at rest.
+        subject: what is flat at rest, for the error.
+
+    Raises:
+        ValueError: naming the first hinge with a fold.
+    """
+    bent = np.flatnonzero((np.abs(shape.sine) > _FLAT_SINE) | (shape.cosine < 0.0))
+    if bent.size:
+        raise ValueError(
+            f"hinge {bent[0]} {hinges[bent[0]].tolist()} rests at a fold of sine {shape.sine[bent[0]]:.3g}, "
+            f"cosine {shape.cosine[bent[0]]:.3g}, and {subject} are flat at rest; set "
+            "bending.flat to true and no rest angle, or choose 'crossed' or 'altitude'"
+        )
 
 
 def hinge_weights(shape: HingeShape) -> Array:
