@@ -9,8 +9,9 @@
 
 namespace cloth::mesh {
 
-using laws::AddedMass, laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Joint, laws::law_params, laws::Membrane,
-    laws::Panel, laws::PointFace, laws::QuadraticHinge, laws::Spring, laws::StiffeningMembrane;
+using laws::AddedMass, laws::Altitude, laws::BendingFriction, laws::Crossed, laws::EdgeEdge, laws::Joint,
+    laws::law_params, laws::Membrane, laws::Panel, laws::PointFace, laws::QuadraticHinge, laws::Spring,
+    laws::StiffeningMembrane;
 
 /// Call `visit` with the law of a kind.
 template <class F>
@@ -25,6 +26,7 @@ inline auto with_law(Kind kind, F&& visit) {
         case Kind::membrane: return visit(Membrane{});
         case Kind::stiffening_membrane: return visit(StiffeningMembrane{});
         case Kind::quadratic: return visit(QuadraticHinge{});
+        case Kind::bending_friction: return visit(BendingFriction{});
         case Kind::panel3: return visit(Panel<3>{});
         case Kind::mass3: return visit(AddedMass<3>{});
         case Kind::mass4: return visit(AddedMass<4>{});
@@ -41,7 +43,8 @@ static_assert(fits<Spring>(Kind::spring) && fits<Joint>(Kind::joint) && fits<Cro
               fits<Altitude>(Kind::altitude) && fits<EdgeEdge>(Kind::edge_edge) && fits<PointFace>(Kind::point_face) &&
               fits<Membrane>(Kind::membrane) && fits<Panel<3>>(Kind::panel3) && fits<Panel<4>>(Kind::panel4) &&
               fits<AddedMass<3>>(Kind::mass3) && fits<AddedMass<4>>(Kind::mass4) &&
-              fits<QuadraticHinge>(Kind::quadratic) && fits<StiffeningMembrane>(Kind::stiffening_membrane));
+              fits<QuadraticHinge>(Kind::quadratic) && fits<StiffeningMembrane>(Kind::stiffening_membrane) &&
+              fits<BendingFriction>(Kind::bending_friction));
 
 /// Operands of a law for one element of a list at x and v, (3, n) by component.
 template <class Law>
