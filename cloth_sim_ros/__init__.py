@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
     from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
     from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+    from cloth_sim_ros.physics.model.forces.bending_friction import BendingFriction
     from cloth_sim_ros.physics.model.forces.candidates import CandidateSprings
     from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
     from cloth_sim_ros.physics.model.forces.drag import Drag
@@ -59,6 +60,7 @@ _MODULES = {
     "AddedMass": "physics.model.forces.added_mass",
     "AirPanels": "physics.model.forces.air_panels",
     "AltitudeSprings": "physics.model.forces.altitude",
+    "BendingFriction": "physics.model.forces.bending_friction",
     "CandidateSprings": "physics.model.forces.candidates",
     "compile": "physics.plan.plan",
     "CrossedSprings": "physics.model.forces.crossed",
@@ -105,6 +107,7 @@ __all__ = [
     "Advance",
     "AirPanels",
     "AltitudeSprings",
+    "BendingFriction",
     "CandidateSprings",
     "CrossedSprings",
     "Distribution",

@@ -56,6 +56,22 @@ SCENES: dict[str, dict[str, Any]] = {
     "opposite springs": {**_GRID, "bending.model": "opposite", "bending.stiffness": 0.5},
     "crossed springs": {**_GRID, **_BENT, "bending.model": "crossed"},
     "altitude springs": {**_GRID, **_BENT, "bending.model": "altitude", "bending.rest_angle": 0.4},
+    "friction of bending": {
+        **_GRID,
+        **_BENT,
+        "bending.model": "crossed",
+        "bending.friction_moment": 1e-3,
+        "bending.yield_curvature": 1.0,
+    },
+    "friction of bending, mesh": {
+        "cloth.mesh": "sheet.obj",
+        "cloth.anchors": ["0", "6"],
+        "gripper.radius": 0.1,
+        "bending.model": "altitude",
+        **_BENT,
+        "bending.friction_moment": 1e-3,
+        "bending.yield_curvature": 1.0,
+    },
     "wind on a surface": {
         **_GRID,
         "wind.velocity": [3.0, 1.0, 0.3],

@@ -70,6 +70,10 @@ def _anchors(plan: dict[str, Any]) -> int:
     return binding.ANCHOR_NUMBERS * (plan["obstacles"] + plan["sides"]) * plan["n"]
 
 
+def _plastic(_: Sequence[Any], plan: dict[str, Any]) -> int:
+    return plan["plastic"]
+
+
 def _matrix(count: int, width: int) -> Size:
     return lambda a, _: 3 * a[count] * binding.library()["cloth_band_stride"](a[width])
 
@@ -101,6 +105,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     ),
     "cloth_plan_uniform": ("i", ("h", _fixed(3), _fixed(3), "d")),
     "cloth_plan_air": ("i", ("h", _fixed(5))),
+    "cloth_plan_plastic_lengths": ("i", ("h", _plastic)),
     "cloth_plan_order": ("i", ("h", _particles(1))),
     "cloth_plan_grips": (
         "i",
@@ -206,6 +211,10 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         "i",
         ("i", "i", _argument_size(4, 1), _argument_size(3, 4), "i", _argument_size(1, 1), _argument_size(4, 1)),
     ),
+    "cloth_combine_plastic_lengths": (
+        "i",
+        ("h", _X, "i", _argument_size(1, 2), lambda a, plan: a[2] * _plastic(a, plan), _plastic, _fixed(1)),
+    ),
     "cloth_combine": ("i", ("i", "a", _argument_size(1, 0), "i", _argument_size(1, 3))),
     "cloth_distance": ("i", (_argument_size(3, 2), _argument_size(3, 2), "i", _fixed(1))),
     "cloth_weighted_dot": ("i", (_argument_size(1, 3), _argument_size(3, 3), _argument_size(3, 3), "i", _fixed(1))),
@@ -296,10 +305,13 @@ class TracedLibrary:
                 "sides": 0,
                 "pinches": 0,
                 "met": 0,
+                "plastic": 0,
                 "lists": [],
             }
         elif name == "cloth_plan_list":
             plan["lists"].append(arguments[2])
+            if arguments[1] == binding.KINDS["bending_friction"][0]:
+                plan["plastic"] = arguments[2]
         elif name == "cloth_plan_grips":
             plan["grippers"] = arguments[1]
         elif name == "cloth_plan_contact":
@@ -359,6 +371,7 @@ class TracedLibrary:
             "jaw_states": runs * binding.JAW_NUMBERS * plan["pinches"],
             "activities": 2 * runs,
             "previous_v0": 3 * n,
+            "plastic_lengths": runs * plan["plastic"],
         }
         names = [name for name, *_ in binding.FrameRequest._fields_]
         raw = bytes(frame)

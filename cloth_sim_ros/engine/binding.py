@@ -57,7 +57,8 @@ KINDS = {
     "mass_quad": (10, 4, 0),
     "quadratic": (11, 4, 4),
     "stiffening_membrane": (12, 3, 6),
-    "coupling": (13, 2, 1),
+    "bending_friction": (13, 4, 3),
+    "coupling": (14, 2, 1),
 }
 #: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
@@ -99,6 +100,7 @@ class FrameRequest(ctypes.Structure):
         ("activities", ctypes.c_void_p),
         ("previous_v0", ctypes.c_void_p),
         ("previous_ratio", ctypes.c_double),
+        ("plastic_lengths", ctypes.c_void_p),
     )
 
 
@@ -115,6 +117,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_list": (_INT, _P, _INT, _I, _P, _P, _P),
     "cloth_plan_uniform": (_INT, _P, _P, _P, _D),
     "cloth_plan_air": (_INT, _P, _P),
+    "cloth_plan_plastic_lengths": (_INT, _P, _P),
     "cloth_plan_order": (_INT, _P, _P),
     "cloth_plan_callback": (_INT, _P, CALLBACK),
     "cloth_plan_grips": (_INT, _P, _I, _I, _P, _P, _P, _P, _P, _P),
@@ -173,6 +176,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_rotation_vector": (_INT, _P, _P, _P),
     "cloth_pose": (_INT, _P, _D, _P),
     "cloth_hinge_lengths": (_INT, _INT, _I, _P, _P, _I, _P, _P),
+    "cloth_combine_plastic_lengths": (_INT, _P, _P, _I, _P, _P, _P, _P),
     "cloth_combine": (_INT, _I, _P, _P, _I, _P),
     "cloth_distance": (_INT, _P, _P, _I, _P),
     "cloth_weighted_dot": (_INT, _P, _P, _P, _I, _P),

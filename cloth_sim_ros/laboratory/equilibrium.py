@@ -21,6 +21,7 @@ from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.thread_limit import single_threaded
+from cloth_sim_ros.physics.state.controller_state import StateMemory
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import SetParameters
@@ -50,6 +51,8 @@ class Equilibrium:
     residual: float
     #: Simulated time of the relaxation [s].
     time: float
+    #: `State.memory` at its end.
+    memory: StateMemory
     #: True if the residual is below its limit.
     is_converged: bool
 
@@ -58,6 +61,7 @@ def find_equilibrium(
     scene: Scene,
     start: Array | None = None,
     *,
+    memory: StateMemory | None = None,
     loading_time: float = 0.0,
     drag: float = RELAXATION_DRAG,
     loading_drag: float = RELAXATION_DRAG,
@@ -69,6 +73,7 @@ def find_equilibrium(
     Args:
         scene: the cloth; its anchors and obstacles stay where they are.
         start: positions at the beginning, those of anchored particles included [m], shape (n, 3); None for the scene's.
+        memory: `State.memory` at the beginning, with the plastic lengths of hinges; None for an empty one.
         loading_time: time during which gravity grows from zero to its value [s].
         drag: rate at which the air damps velocities once the load is complete [1/s].
         loading_drag: rate while the load grows [1/s].
@@ -90,7 +95,7 @@ def find_equilibrium(
     relaxing = scene.changed({**still, **quick, "gravity": first})
     state = relaxing.starting_state()
     if start is not None:
-        state = State(start, cloth=state.cloth)
+        state = State(start, cloth=state.cloth, memory=dict(memory or {}))
     with single_threaded():
         simulation = Simulation(relaxing, state)
         _check_work(simulation)
@@ -111,6 +116,7 @@ def find_equilibrium(
         positions=simulation.positions,
         residual=residual,
         time=simulation.time,
+        memory=simulation.state.memory,
         is_converged=residual < max_residual,
     )
 

@@ -3,30 +3,36 @@
 """Pure bending (KES-FB2): moment of a strip between clamps that turn, at constant curvature.
 
 The bending modulus is the slope of the moment per width between the curvatures 50 and 150 1/m, as the Kawabata
-evaluation system defines it.
+evaluation system defines it. With friction of bending the strip is then bent to 250 1/m and back to -250 1/m. The width
+2HB of the loop is the difference of its two moments at 100 1/m.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from cloth_sim_ros.laboratory.samples import FabricSample
 from cloth_sim_ros.laboratory.strips import STIFF_DRAG, Measurement, strip
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.controller_state import PLASTIC_LENGTHS_KEY
 
 #: Length between the clamps and width of a strip [m].
 LENGTH, WIDTH = 0.01, 0.025
 #: Curvatures [1/m]; the modulus is the slope between the first and the last.
 CURVATURES = (50.0, 100.0, 150.0)
+#: Largest curvature of the loop, and that at which its width is measured [1/m].
+LOOP_CURVATURE, WIDTH_CURVATURE = 250.0, 100.0
 #: Cells between the clamps.
 CELLS = 10
 _MAX_RESIDUAL = 0.02
 
 
 def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure strips along warp and weft: moments at several curvatures, and the modulus."""
+    """Measure strips along warp and weft: modulus, moments at several curvatures, width of a loop with friction."""
+    friction_moment = float(sample.parameters["bending.friction_moment"])
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.pair("material.bending_modulus"), strict=True
@@ -42,16 +48,35 @@ def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
             Measurement(quantity=f"moment at {curvature:g} 1/m", direction=direction, unit="N", measured=moment)
             for curvature, moment in zip(CURVATURES, moments, strict=True)
         ]
+        if friction_moment:
+            path = (LOOP_CURVATURE, WIDTH_CURVATURE, -LOOP_CURVATURE, WIDTH_CURVATURE)
+            _, falling, _, rising = bending_moments(sample, angle, path, cells=cells)
+            measurements.append(
+                Measurement(
+                    quantity=f"width 2HB at {WIDTH_CURVATURE:g} 1/m",
+                    direction=direction,
+                    unit="N",
+                    measured=rising - falling,
+                    stated=2.0 * friction_moment,
+                )
+            )
     return measurements
 
 
 def bending_moment(sample: FabricSample, angle: float, curvature: float, *, cells: int = CELLS) -> float:
-    """Return the moment per width of a strip [N].
+    """Return the moment per width of a flat strip that is bent [N]; arguments as of `bending_moments`."""
+    return bending_moments(sample, angle, (curvature,), cells=cells)[0]
+
+
+def bending_moments(
+    sample: FabricSample, angle: float, curvatures: Sequence[float], *, cells: int = CELLS
+) -> list[float]:
+    """Return the moments per width of a flat strip that is bent to one curvature after the other [N].
 
     Args:
         sample: the fabric.
         angle: angle from the strip's length to the warp [rad].
-        curvature: curvature between the clamps [1/m].
+        curvatures: curvatures between the clamps [1/m].
         cells: cells between the clamps.
     """
     cell = LENGTH / cells
@@ -60,12 +85,16 @@ def bending_moment(sample: FabricSample, angle: float, curvature: float, *, cell
     values = {"gravity": [0.0, 0.0, 0.0]}
     specimen = strip(sample, length=n_cells * cell, width=WIDTH, n_cells=n_cells, angle=angle, values=values)
     held = specimen.rows(0, 1) | specimen.rows(n_cells - 1, n_cells)
-    start = _arc(specimen.points, cell, curvature)
-    positions = specimen.at_rest(start, held, drag=STIFF_DRAG, max_residual=_MAX_RESIDUAL)
-    end = specimen.rows(0, 1)
-    pivot = positions[specimen.rows(1, 1)].mean(axis=0)
-    torque = np.cross(positions[end] - pivot, specimen.forces(positions)[end]).sum(axis=0)
-    return abs(float(torque[0])) / WIDTH
+    end, memory, moments = specimen.rows(0, 1), dict[str, Array](), list[float]()
+    for curvature in curvatures:
+        start = _arc(specimen.points, cell, curvature)
+        result = specimen.equilibrium(start, held, memory=memory, drag=STIFF_DRAG, max_residual=_MAX_RESIDUAL)
+        positions = result.positions
+        memory = {name: array for name, array in result.memory.items() if name == PLASTIC_LENGTHS_KEY}
+        pivot = positions[specimen.rows(1, 1)].mean(axis=0)
+        torque = np.cross(positions[end] - pivot, specimen.forces(positions, memory)[end]).sum(axis=0)
+        moments.append(float(torque[0]) / WIDTH)
+    return moments
 
 
 def _arc(points: Array, cell: float, curvature: float) -> Array:

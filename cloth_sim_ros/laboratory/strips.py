@@ -12,9 +12,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.laboratory.equilibrium import LaboratoryError, find_equilibrium
+from cloth_sim_ros.laboratory.equilibrium import Equilibrium, LaboratoryError, find_equilibrium
 from cloth_sim_ros.laboratory.samples import FabricSample
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.controller_state import StateMemory
 from cloth_sim_ros.scene.scene import Scene
 
 #: Drag of the air in which stretched strips come to rest [1/s]: they oscillate much faster than hanging ones.
@@ -60,7 +61,11 @@ class FabricStrip:
         return int(np.rint(self.points[:, 1].max() / self.cell)) + 1
 
     def at_rest(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Array:
-        """Return the positions of equilibrium [m], (n, 3).
+        """Return the positions of equilibrium [m], (n, 3); arguments and errors as of `equilibrium`."""
+        return self.equilibrium(start, held, **options).positions
+
+    def equilibrium(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Equilibrium:
+        """Return the equilibrium.
 
         Args:
             start: positions at the beginning, those of held particles included [m], shape (n, 3).
@@ -77,14 +82,19 @@ class FabricStrip:
                 f"the strip is not at rest after {rest_state.time:g} s: a force of {rest_state.residual:.2g} of a "
                 "particle's weight is left; try more cells, or a smaller load"
             )
-        return rest_state.positions
+        return rest_state
 
-    def forces(self, positions: Array) -> Array:
-        """Return the force of the strip on each particle [N], held ones included, shape (n, 3)."""
+    def forces(self, positions: Array, memory: StateMemory | None = None) -> Array:
+        """Return the force of the strip on each particle [N], held ones included, shape (n, 3).
+
+        Args:
+            positions: positions [m], shape (n, 3).
+            memory: `State.memory`, which friction of bending needs.
+        """
         plan = self.scene.plan()
         x = np.ascontiguousarray(positions.T)
         acceleration = np.empty_like(x)
-        plan.accelerations(0.0, x, np.zeros_like(x), acceleration)
+        plan.accelerations(0.0, x, np.zeros_like(x), acceleration, memory or {})
         return np.ascontiguousarray((acceleration * plan.model.masses).T)
 
 

@@ -28,6 +28,7 @@ from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import GridFamily
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
 from cloth_sim_ros.physics.model.sheets.material import Threads, grid_threads
 from cloth_sim_ros.physics.model.sheets.merging import component_labels
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
@@ -564,7 +565,42 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
         # A pair that has a spring gets no second one. Across a cell's diagonal that spring is the other diagonal.
         shear = [force.pairs for force in forces if force.name == "shear" and isinstance(force, GridSprings)]
         forces.extend(bending_forces(scene, sheet, masses, shear[0] if shear else existing))
+    if scene.bending.friction_moment:
+        forces.append(friction_of_hinges(scene, sheet))
     return forces
+
+
+def friction_of_hinges(scene: PhysicsScene, sheet: Sheet) -> Force:
+    """Build the internal friction of bending.
+
+    A grid has it in the hinges of its edges: they bend as threads do. Their moment is then the same in all directions.
+
+    Raises:
+        ValueError: for hinges that are nearly shut at rest.
+    """
+    from cloth_sim_ros.physics.model.sheets import bending as calibration
+    from cloth_sim_ros.physics.model.sheets.hinge_friction import hinge_friction
+
+    bending, share = scene.bending, 1.0
+    modulus = bending.friction_moment / bending.yield_curvature
+    if isinstance(sheet, GridSheet):
+        hinges, share = grid_hinges(sheet.rows, sheet.columns), 0.5
+        constants = calibration.grid_hinge_constants(
+            hinges, columns=sheet.columns, spacing=sheet.spacing, bending_modulus=modulus
+        )
+        row, column = np.divmod(hinges[:, :2], sheet.columns)
+        is_edge = (row[:, 0] == row[:, 1]) | (column[:, 0] == column[:, 1])
+        hinges, constants = hinges[is_edge], constants[is_edge]
+        shape = HingeShape.of(hinges, sheet.positions())
+    else:
+        hinges = sheet.surface.hinges
+        raw = sheet if isinstance(sheet, RawSprings) else None
+        shape = HingeShape.of(hinges, sheet.positions()) if raw is None else raw.hinge_shape(hinges)
+        constants = calibration.shape_hinge_constants(shape, bending_modulus=modulus)
+    angle = _rest_angle(scene, hinges)
+    shape = shape if angle is None else shape.at(angle)
+    moments = share * bending.friction_moment * shape.edge
+    return hinge_friction(hinges, shape, hinge_constants=constants, moments=moments)
 
 
 def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> list[Force]:

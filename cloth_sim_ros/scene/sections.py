@@ -269,6 +269,25 @@ class BendingParameters:
         max=1e8,
         live=True,
     )
+    friction_moment: float = parameter(
+        "double",
+        0.0,
+        "Moment per width of the internal friction of bending, half of the width 2HB of the loop of moment over "
+        "curvature, for crossed, altitude and quadratic; 0: none",
+        unit="N",
+        min=0.0,
+        max=1e3,
+        live=True,
+    )
+    yield_curvature: float = parameter(
+        "double",
+        20.0,
+        "Change of curvature up to which the internal friction of bending is elastic",
+        unit="1/m",
+        min=0.01,
+        max=1e5,
+        live=True,
+    )
     rest_angle: float = parameter(
         "double",
         0.0,

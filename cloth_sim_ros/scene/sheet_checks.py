@@ -16,6 +16,7 @@ from cloth_sim_ros.scene.build import (
     Sheet,
     anchored_particles,
     bending_forces,
+    friction_of_hinges,
     grid_threads_of,
     joined_particles,
     membrane_forces,
@@ -90,10 +91,20 @@ def check_sheet(scene: PhysicsScene) -> None:
         except ValueError as error:
             name = "bending_modulus" if modulus else "bending_modulus_weft"
             raise ParameterError(f"material.{name} is {getattr(scene.material, name)} N m: {error}") from error
+    if scene.bending.friction_moment and model not in ("crossed", "altitude", "quadratic"):
+        raise ParameterError(
+            f"bending.friction_moment is {scene.bending.friction_moment} N, and bending.model '{model}' has no hinges "
+            "with a bending modulus; choose crossed, altitude or quadratic, or set bending.friction_moment to 0.0"
+        )
     if model in sections.MODULUS_MODELS and not modulus:
         raise ParameterError(
             f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
         )
+    if scene.bending.friction_moment and not is_accepted:
+        try:
+            friction_of_hinges(scene, sheet)
+        except ValueError as error:
+            raise ParameterError(f"bending.friction_moment is {scene.bending.friction_moment} N: {error}") from error
     if model in ("quadratic", "shape_operator") and not is_accepted:
         try:
             bending_forces(scene, sheet, sheet.masses(1.0), None)

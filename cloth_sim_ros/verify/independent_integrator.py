@@ -8,7 +8,13 @@ import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, StateMemory, with_jaws
+from cloth_sim_ros.physics.state.controller_state import (
+    ANCHORS_KEY,
+    JAWS_KEY,
+    PLASTIC_LENGTHS_KEY,
+    StateMemory,
+    with_jaws,
+)
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.verify.reference_integrator import MotionState
 from cloth_sim_ros.verify.reference_motion import Equations, ReferenceMotion, SimulatedFrame
@@ -35,8 +41,8 @@ def dop853(
 ) -> MotionState:
     """Integrate from time t [s] over a duration [s].
 
-    Friction anchors are updated after each step. The jaws are integrated together with the particles. Prescribed
-    particles are at their points in each evaluation.
+    Friction anchors and plastic lengths are updated after each step. The jaws are integrated together with the
+    particles. Prescribed particles are at their points in each evaluation.
 
     Raises:
         ArithmeticError: if no step is small enough.
@@ -69,6 +75,9 @@ def dop853(
             x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)
             anchors = contact.anchors_of(memory)[None]
             memory[ANCHORS_KEY] = contact.combine_anchors(solver.t, x, v, anchors, [1.0], memory_at(solver.y))
+        if plan.plastic is not None:
+            x = solver.y[:n_coordinates].copy().reshape(shape)
+            memory[PLASTIC_LENGTHS_KEY], _ = plan.plastic.returned(x, memory)
     if solver.status == "failed":
         raise ArithmeticError(f"DOP853 gave up at {solver.t} s: {failure}")
     x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)

@@ -76,7 +76,7 @@ class ReferenceIntegrator:
             duration: its length [s].
             start: state at its start; not modified.
             step: smallest step of the simulation in the frame [s]; infinite if it took none. The steps here are at most
-                half of it, except with friction, whose force jumps no step resolves.
+                half of it, except with friction, whose jumps and kinks no step resolves.
 
         Returns:
             The state at its end, and the lengths of the intervals [s].
@@ -86,7 +86,7 @@ class ReferenceIntegrator:
         rounding = rounding_amplification(STEP_COUNTS) + rounding_amplification(STEP_COUNTS[1:])
         min_error = 4.0 * UNIT_ROUNDOFF * float(np.abs(start[0]).max()) * rounding
         min_interval, max_step = _MIN_INTERVAL * duration, 0.5 * step
-        if plan.contact is not None and plan.contact.force.has_anchors:
+        if plan.plastic is not None or (plan.contact is not None and plan.contact.force.has_anchors):
             # Around such a force jump the simulation's steps become arbitrarily small.
             min_interval = _MIN_INTERVAL_WITH_FRICTION * duration
             max_step = max(max_step, min_interval / STEP_COUNTS[0])
@@ -139,8 +139,8 @@ def _extrapolate(
     runs, result = plan.runs(t, length, (start.x, start.v), counts, weights=weights(counts), memory=memory)
     assert result is not None
     x, v, summary = result
-    if plan.contact is not None:
-        memory = {**memory, **plan.contact.combine_ends(t + length, x, v, runs, weights(counts), memory)}
+    if plan.has_end_memory:
+        memory = {**memory, **plan.combine_ends(t + length, x, v, runs, weights(counts), memory)}
     return MotionState(x, v, memory), runs, summary
 
 

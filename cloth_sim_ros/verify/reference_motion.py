@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.model.controls import Controls, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, THICKNESS_KEY
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY, THICKNESS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.bodies.bodies import carry_over_anchors, change_obstacles
@@ -106,6 +106,10 @@ class Equations:
         return self._plan
 
 
+#: Arrays of a state's memory that belong to the motion itself.
+_MOTION_KEYS = (ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY)
+
+
 class ReferenceMotion:
     """Motion under the simulation's commands, from a given state.
 
@@ -117,7 +121,7 @@ class ReferenceMotion:
     """
 
     def __init__(self, state: State) -> None:
-        memory = {key: state.memory[key] for key in (ANCHORS_KEY, JAWS_KEY) if key in state.memory}
+        memory = {key: state.memory[key] for key in _MOTION_KEYS if key in state.memory}
         self.state = MotionState(state.x, state.v, memory)
         self._scene: Scene | None = None
         count = len(state.memory.get("gripper.pose", ()))

@@ -73,3 +73,11 @@ def test_table_has_measured_and_stated_value() -> None:
     text = describe("Title", [Measurement(quantity="length", direction="warp", unit="m", measured=2.0, stated=4.0)])
     assert text.splitlines()[0] == "Title"
     assert "0.500" in text
+
+
+def test_loop_of_bending_is_twice_the_friction_moment_wide() -> None:
+    fabric = read_sample("cotton_twill", {"bending.friction_moment": 1e-4, "bending.yield_curvature": 20.0})
+    widths = [measurement for measurement in measure_bending(fabric) if measurement.quantity.startswith("width 2HB")]
+    assert [measurement.direction for measurement in widths] == ["warp", "weft"]
+    assert [measurement.stated for measurement in widths] == [2e-4, 2e-4]
+    assert [measurement.ratio for measurement in widths] == pytest.approx([1.0, 1.0], abs=0.01)

@@ -126,6 +126,7 @@ def memory() -> dict[str, Any]:
             controller_state.JAWS_KEY,
             controller_state.JAWS_AT_REST_KEY,
             controller_state.THICKNESS_KEY,
+            controller_state.PLASTIC_LENGTHS_KEY,
             *controller_state.SLEEP_KEYS,
         ],
         "of older versions": list(controller_state.LEGACY_KEYS),

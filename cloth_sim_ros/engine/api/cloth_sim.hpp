@@ -36,7 +36,7 @@ enum BandStatus : int {
 };
 
 static_assert(sizeof(double) == 8 && sizeof(void*) == 8 && sizeof(int) == 4);
-static_assert(sizeof(FrameRequest) == 192 && alignof(FrameRequest) == 8);
+static_assert(sizeof(FrameRequest) == 200 && alignof(FrameRequest) == 8);
 static_assert(offsetof(FrameRequest, t) == 0);
 static_assert(offsetof(FrameRequest, duration) == 8);
 static_assert(offsetof(FrameRequest, runs) == 16);
@@ -61,6 +61,7 @@ static_assert(offsetof(FrameRequest, concurrency) == 160);
 static_assert(offsetof(FrameRequest, activities) == 168);
 static_assert(offsetof(FrameRequest, previous_v0) == 176);
 static_assert(offsetof(FrameRequest, previous_ratio) == 184);
+static_assert(offsetof(FrameRequest, plastic_lengths) == 192);
 
 /// Number of this interface. The binding refuses any other.
 CLOTH_API int cloth_engine_abi();
@@ -75,6 +76,8 @@ CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const st
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag);
 /// Set the coefficients of panels, and the wind of panels and added mass: the lists whose common parameters change.
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common);
+/// Set the plastic lengths [m] at the start of runs, in the order of the list of plastic elements.
+CLOTH_API int cloth_plan_plastic_lengths(Plan* plan, const double* lengths);
 /// Set the rank of each particle in runs without a grid.
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank);
 CLOTH_API int cloth_plan_callback(Plan* plan, Callback callback);
@@ -133,6 +136,9 @@ CLOTH_API int cloth_combine(std::int64_t arrays, const double* const* from, cons
 CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, double* out);
 /// Sum of m_i a_i . b_i over particles, in order.
 CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out);
+/// Combine the plastic lengths at the ends of runs, see combine_plastic_lengths, and the dissipated work of it [J].
+CLOTH_API int cloth_combine_plastic_lengths(const Plan* plan, const double* x, std::int64_t runs, const double* weights,
+                                            const double* ends, double* out, double* work);
 /// Signed lengths h [m] of hinges (count, 4) of a kind with a length, NaN if undefined, and, unless `squares` is
 /// null, |dh/dx|^2 of their four corners (count, 4).
 CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x,

@@ -80,6 +80,14 @@ CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
                           list.common + (mesh::is_mass(list.kind) ? 2 : 0));
     });
 }
+CLOTH_API int cloth_plan_plastic_lengths(Plan* plan, const double* lengths) {
+    return guarded(plan, [&] {
+        for (std::int64_t e = 0; e < plan->plastic_count(); ++e) {
+            mesh::List& list = plan->lists[plan->plastic_list];
+            list.params[e * list.numbers] = lengths[e];
+        }
+    });
+}
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
     return guarded(plan, [&] { plan->set_ranks({rank, rank + plan->count}); });
 }
@@ -252,6 +260,10 @@ CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double*
         for (std::int64_t i = 0; i < n; ++i) sum += m[i] * dot(plan::particle(a, n, i), plan::particle(b, n, i));
         *out = sum;
     });
+}
+CLOTH_API int cloth_combine_plastic_lengths(const Plan* plan, const double* x, std::int64_t runs, const double* weights,
+                                            const double* ends, double* out, double* work) {
+    return guarded(plan, [&] { *work = plan::combine_plastic_lengths(*plan, x, runs, weights, ends, out); });
 }
 CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x,
                                   std::int64_t n, double* lengths, double* squares) {

@@ -5,6 +5,7 @@
 #pragma once
 
 #include "laws/added_mass.hpp"
+#include "laws/bending_friction.hpp"
 #include "laws/coupling.hpp"
 #include "laws/hinge.hpp"
 #include "laws/joint.hpp"

@@ -9,8 +9,9 @@
 
 namespace cloth::mesh {
 
-using laws::AddedMass, laws::Altitude, laws::Coupling, laws::Crossed, laws::EdgeEdge, laws::Joint, laws::law_params,
-    laws::Membrane, laws::Panel, laws::PointFace, laws::QuadraticHinge, laws::Spring, laws::StiffeningMembrane;
+using laws::AddedMass, laws::Altitude, laws::BendingFriction, laws::Coupling, laws::Crossed, laws::EdgeEdge, laws::Joint,
+    laws::law_params, laws::Membrane, laws::Panel, laws::PointFace, laws::QuadraticHinge, laws::Spring,
+    laws::StiffeningMembrane;
 
 /// Call `visit` with the law of a kind.
 template <class F>
@@ -25,6 +26,7 @@ inline auto with_law(Kind kind, F&& visit) {
         case Kind::membrane: return visit(Membrane{});
         case Kind::stiffening_membrane: return visit(StiffeningMembrane{});
         case Kind::quadratic: return visit(QuadraticHinge{});
+        case Kind::bending_friction: return visit(BendingFriction{});
         case Kind::coupling: return visit(Coupling{});
         case Kind::panel3: return visit(Panel<3>{});
         case Kind::mass3: return visit(AddedMass<3>{});
@@ -43,7 +45,7 @@ static_assert(fits<Spring>(Kind::spring) && fits<Joint>(Kind::joint) && fits<Cro
               fits<Membrane>(Kind::membrane) && fits<Panel<3>>(Kind::panel3) && fits<Panel<4>>(Kind::panel4) &&
               fits<AddedMass<3>>(Kind::mass3) && fits<AddedMass<4>>(Kind::mass4) &&
               fits<QuadraticHinge>(Kind::quadratic) && fits<StiffeningMembrane>(Kind::stiffening_membrane) &&
-              fits<Coupling>(Kind::coupling));
+              fits<BendingFriction>(Kind::bending_friction) && fits<Coupling>(Kind::coupling));
 
 /// Operands of a law for one element of a list at x and v, (3, n) by component.
 template <class Law>

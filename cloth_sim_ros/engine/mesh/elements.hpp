@@ -25,12 +25,15 @@ enum class Kind : int {
     mass4,
     quadratic,
     stiffening_membrane,
+    bending_friction,
     coupling
 };
 /// Whether elements are panels of air, which have common parameters alone.
 inline constexpr bool is_panel(Kind kind) { return kind == Kind::panel3 || kind == Kind::panel4; }
 /// Whether elements are panels with added mass.
 inline constexpr bool is_mass(Kind kind) { return kind == Kind::mass3 || kind == Kind::mass4; }
+/// Whether elements have a state, the plastic length: their first parameter, which runs move.
+inline constexpr bool is_plastic(Kind kind) { return kind == Kind::bending_friction; }
 inline constexpr bool is_membrane(Kind kind) { return kind == Kind::membrane || kind == Kind::stiffening_membrane; }
 /// Whether the damping of all elements is their stiffness times one time.
 inline constexpr bool has_damping_time(Kind kind) { return kind == Kind::quadratic || kind == Kind::coupling; }
@@ -64,6 +67,8 @@ struct Elements {
     /// Offsets of the particles' quads.
     std::vector<std::uint32_t> corner[4];
     Array<T> param[max_params];
+    /// Plastic elements: the index of each in its list, without padding.
+    std::vector<std::int64_t> source;
 };
 
 class List {
@@ -74,7 +79,9 @@ public:
         if (numbers) this->params.assign(params, params + count * numbers);
         if (common) std::copy(common, common + common_of(kind), this->common);
         slow = kind == Kind::crossed || kind == Kind::altitude;
-        damped = is_panel(kind) || is_mass(kind) || (has_damping_time(kind) && this->common[0] > 0.0);
+        // A plastic length follows the velocities.
+        damped = is_panel(kind) || is_mass(kind) || is_plastic(kind) ||
+                 (has_damping_time(kind) && this->common[0] > 0.0);
         for (std::int64_t e = 0; !damped && !has_damping_time(kind) && e < count; ++e)
             damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
@@ -107,6 +114,7 @@ public:
         }
         const std::int64_t count = static_cast<std::int64_t>(interleaved.size());
         Elements<T> r;
+        if (is_plastic(kind)) r.source = interleaved;
         r.count = (count + 15) / 16 * 16;
         for (int c = 0; c < width; ++c) {
             r.corner[c].assign(r.count, static_cast<std::uint32_t>(4 * dummy));

@@ -23,6 +23,9 @@ inline constexpr std::int64_t batch_size = 64;
 /// Whether a law gives its corners mass.
 template <class Law>
 inline constexpr bool has_mass = requires { Law::carries_mass; };
+/// Whether a law has a plastic length, which follows the motion.
+template <class Law>
+inline constexpr bool has_plastic_length = requires { Law::has_plastic_length; };
 
 /// A batch by component: operands, later forces.
 template <class Law, class V>
@@ -43,7 +46,8 @@ struct Batch {
 };
 
 /// Force loop of one list, with positions x, velocities v and forces f as quads. Powers are recorded if Record. Mass
-/// blocks are added to `mass`, two quads a particle (mesh/added_mass.hpp), by laws that have them.
+/// blocks are added to `mass`, two quads a particle (mesh/added_mass.hpp), by laws that have them. Plastic lengths move
+/// to the end of the step, `half_step` [s] later; 0 keeps them.
 template <class Law, class T, bool Damped, bool Record>
 class ForceLoop {
     static constexpr int C = Law::corners;
@@ -54,10 +58,13 @@ class ForceLoop {
     static constexpr int n_forces = absolute ? C : C - 1;
 
 public:
-    ForceLoop(const Elements<T>& list, const double* common, const T* x, const T* v, T* f, PowerSums* powers, T* mass)
-        : common_(common), x_(x), v_(v), f_(f), mass_(mass), powers_(powers), count_(list.count) {
+    ForceLoop(Elements<T>& list, const double* common, const T* x, const T* v, T* f, PowerSums* powers, T* mass,
+              T half_step)
+        : common_(common), x_(x), v_(v), f_(f), mass_(mass), powers_(powers), count_(list.count),
+          half_step_(half_step) {
         for (int c = 0; c < C; ++c) corner_[c] = list.corner[c].data();
         for (int p = 0; p < Law::params; ++p) param_[p] = list.param[p].data();
+        if constexpr (has_plastic_length<Law>) plastic_length_ = list.param[0].data();
     }
 
     CLOTH_INLINE void add() const {
@@ -150,7 +157,19 @@ private:
         CornerForces g;
         Law::force(numbers, operands.d, operands.u, g.d, Damped);
         record_powers(e, numbers, operands);
+        if constexpr (has_plastic_length<Law>)
+            if (half_step_ > T(0)) drag(e, numbers, operands);
         return g;
+    }
+    CLOTH_INLINE void drag(std::int64_t e, const typename Law::template Params<V>& numbers,
+                           const Operands<Law, V>& operands) const {
+        const V next = Law::drag(numbers, operands.d, operands.u, splat<V>(half_step_));
+        store_as<V>(plastic_length_ + e, next);
+        if constexpr (Record) {
+            const V work = Law::plastic_work(numbers, next);
+            const double per_step = 0.5 / static_cast<double>(half_step_);
+            for (int k = 0; k < L; ++k) powers_->dissipation[(e + k) & 15] += per_step * static_cast<double>(work[k]);
+        }
     }
     /// Forces of a central law: a number times the gathered quad, without deinterleaving.
     CLOTH_INLINE void scatter_central(std::int64_t e, const Operands<Law, V>& operands,
@@ -211,9 +230,10 @@ private:
     const std::uint32_t* corner_[C];
     const T* param_[max_params] = {};
     const T *x_, *v_;
-    T *f_, *mass_;
+    T *f_, *mass_, *plastic_length_ = nullptr;
     PowerSums* powers_;
     std::int64_t count_;
+    T half_step_;
 };
 
 }  // namespace cloth::mesh

@@ -11,12 +11,13 @@
 namespace cloth::plan {
 
 template <class T>
-void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers,
-                T* mass) {
+void add_forces(const List& list, Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers, T* mass,
+                T half_step) {
     mesh::with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         const auto add = [&](auto damped, auto record) {
-            mesh::ForceLoop<Law, T, damped.value, record.value>(elements, list.common, x, v, f, powers, mass).add();
+            mesh::ForceLoop<Law, T, damped.value, record.value>(elements, list.common, x, v, f, powers, mass, half_step)
+                .add();
         };
         constexpr std::true_type yes;
         constexpr std::false_type no;
@@ -29,9 +30,9 @@ void add_forces(const List& list, const Elements<T>& elements, const T* x, const
             add(no, no);
     });
 }
-template void add_forces(const List&, const Elements<float>&, const float*, const float*, float*, PowerSums*, float*);
-template void add_forces(const List&, const Elements<double>&, const double*, const double*, double*, PowerSums*,
-                         double*);
+template void add_forces(const List&, Elements<float>&, const float*, const float*, float*, PowerSums*, float*, float);
+template void add_forces(const List&, Elements<double>&, const double*, const double*, double*, PowerSums*, double*,
+                         double);
 
 template <class T>
 RunStatus run_lists(Plan& plan, const Run& run) {

@@ -22,8 +22,8 @@ template <class T>
 inline RunStatus execute_run(Plan& plan, const Run& run) {
     return plan.grid ? run_grid<T>(plan, run) : run_lists<T>(plan, run);
 }
-/// Whether runs that request single precision use it.
-inline bool allows_single_precision(const Plan& plan) { return !plan.is_surface_active(); }
+/// Whether runs that request single precision use it. It resolves no plastic length.
+inline bool allows_single_precision(const Plan& plan) { return !plan.is_surface_active() && plan.plastic_list < 0; }
 inline RunStatus execute_run(Plan& plan, const Run& run) {
     return run.single_precision && allows_single_precision(plan) ? execute_run<float>(plan, run)
                                                                  : execute_run<double>(plan, run);
@@ -101,6 +101,7 @@ inline std::vector<Run> runs_of(const Plan& plan, const FrameRequest& frame) {
             .activity = frame.activities ? frame.activities + 2 * k : nullptr,
             .previous_v0 = frame.previous_v0,
             .previous_ratio = frame.previous_ratio,
+            .plastic_lengths = frame.plastic_lengths ? frame.plastic_lengths + k * plan.plastic_count() : nullptr,
         });
     }
     return runs;
@@ -334,11 +335,13 @@ inline void prescribe(Plan& plan, double t, double* x, double* v, double* wrench
             grips.accumulate_air_jump(sums, grip, point, block_of(blocks.data(), n, grips.particle[grip]));
     });
 }
-/// The same without contact, grips and forces in Python. The next runs choose again which contacts they evaluate.
+/// The same without contact, friction of bending, grips and forces in Python. The next runs choose again which contacts
+/// they evaluate.
 inline void elastic_accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     plan.contacts.active.clear();
     plan.self_culled = true;
     contact::deactivate_features(plan);
+    plan.omits_plastic = true;
     // Restored even if memory is exhausted: neither grips nor forces in Python may vanish.
     struct Guard {
         Plan& plan;
@@ -347,6 +350,7 @@ inline void elastic_accelerations(Plan& plan, double t, const double* x, const d
         ~Guard() {
             plan.callback = callback;
             plan.grips = std::move(grips);
+            plan.omits_plastic = false;
         }
     } guard{plan};
     evaluate(plan, t, x, v, out);

@@ -58,6 +58,7 @@ struct FrameRequest {
     double* activities;
     const double* previous_v0;  ///< velocities at the start of the interval before, or null
     double previous_ratio;      ///< length of the frame relative to that interval
+    double* plastic_lengths;    ///< of each run at its end, (runs, plastic elements), or null
 };
 
 }  // namespace cloth::plan

@@ -78,10 +78,12 @@ RunStatus OffGridForces<T>::compute_forces(std::int64_t step, int thread) {
     if (has_mass && (plan.mass_list < 0 || has_impulses))
         std::fill(partition.mass_blocks.begin() + 8 * partition.low, partition.mass_blocks.begin() + 8 * partition.high,
                   T(0));
+    const T half_step = static_cast<T>(step < 0 ? 0.0 : 0.5 * run.step);
     for (std::size_t k = 0; k < partition.lists.size(); ++k)
-        if (!(multirate && plan.lists[k].slow) && static_cast<std::int64_t>(k) != plan.mass_list)
+        if (!(multirate && plan.lists[k].slow) && static_cast<std::int64_t>(k) != plan.mass_list &&
+            !(plan.omits_plastic && is_plastic(plan.lists[k].kind)))
             add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f, record ? &list_powers : nullptr,
-                          partition.mass_blocks.data());
+                          partition.mass_blocks.data(), half_step);
     if (has_impulses && plan.mass_list >= 0)
         mesh::add_mass_blocks<4>(partition.lists[plan.mass_list], plan.cells_mass(), x.data(),
                                  partition.mass_blocks.data());
@@ -309,6 +311,7 @@ void OffGridForces<T>::finish_surface()
 
 template <class T>
 void OffGridForces<T>::finish() {
+    if (run.plastic_lengths) store_plastic_lengths();
     // Obstacles without contact keep no anchors.
     if (run.anchors) std::copy(plan.contacts.anchors.begin(), plan.contacts.anchors.end(), run.anchors);
     if (contact)
@@ -336,6 +339,26 @@ void OffGridForces<T>::finish() {
 }
 
 template <class T>
+void OffGridForces<T>::load_plastic_lengths() {
+    const List& list = plan.lists[plan.plastic_list];
+    for (Partition<T>& partition : *partitions) {
+        Elements<T>& elements = partition.lists[plan.plastic_list];
+        for (std::size_t k = 0; k < elements.source.size(); ++k)
+            elements.param[0][k] = static_cast<T>(list.params[elements.source[k] * list.numbers]);
+    }
+}
+
+template <class T>
+void OffGridForces<T>::store_plastic_lengths() const {
+    // Elements at a border of threads have the same length on both sides.
+    for (const Partition<T>& partition : *partitions) {
+        const Elements<T>& elements = partition.lists[plan.plastic_list];
+        for (std::size_t k = 0; k < elements.source.size(); ++k)
+            run.plastic_lengths[elements.source[k]] = static_cast<double>(elements.param[0][k]);
+    }
+}
+
+template <class T>
 void OffGridForces<T>::record_no_contact() {
     const Contacts& contacts = plan.contacts;
     if (run.contact_record) ContactSummary().write(run.contact_record + contacts.count() * record_numbers);
@@ -349,6 +372,7 @@ void OffGridForces<T>::advance_jaws(int thread, std::int64_t step) {
 template <class T>
 void OffGridForces<T>::allocate(const std::vector<std::int64_t>& borders) {
     partitions = &plan.partitions<T>(borders, multirate, run.workspace);
+    if (plan.plastic_list >= 0) load_plastic_lengths();
     x.assign(4 * (plan.count + 1), T(0));
     v.assign(4 * (plan.count + 1), T(0));
     if (multirate) {

@@ -108,6 +108,9 @@ struct OffGridForces {
         requires(sizeof(T) == 8);
     /// Record that no obstacle was near.
     void record_no_contact();
+    /// Copy the plastic lengths of the plan to the elements of the partitions, or those of the elements to the run.
+    void load_plastic_lengths();
+    void store_plastic_lengths() const;
     /// Sum up the records, in order of the grips and of the blocks.
     void finish();
 };

@@ -27,9 +27,9 @@ struct FeatureContactModel;
 
 namespace cloth::plan {
 
-using mesh::is_mass, contact::Contacts, contact::FeatureContactModel, contact::layer_sides, contact::LayerAnchors,
-    contact::ReducedThickness, contact::SelfContact, grid::CurvatureBounds, grid::CurvatureTable, grid::Grid,
-    grid::GridTables, grid::Mode, grid::StepFactors, laws::anchor_numbers, laws::Scaling, mesh::List;
+using mesh::is_mass, mesh::is_plastic, contact::Contacts, contact::FeatureContactModel, contact::layer_sides,
+    contact::LayerAnchors, contact::ReducedThickness, contact::SelfContact, grid::CurvatureBounds, grid::CurvatureTable,
+    grid::Grid, grid::GridTables, grid::Mode, grid::StepFactors, laws::anchor_numbers, laws::Scaling, mesh::List;
 
 struct Plan {
     Plan();
@@ -56,6 +56,10 @@ struct Plan {
     /// The same of each hinge, and whether the cells of the first two lists are in order, see `are_cells_in_order`.
     CurvatureBounds curvature_terms;
     bool air_in_order = false, mass_in_order = false;
+    /// The list of plastic elements, whose first parameters are plastic lengths at the start of runs; -1 if there is
+    /// none. Whether evaluations leave it out.
+    std::int64_t plastic_list = -1;
+    bool omits_plastic = false;
     /// Rate of linear drag [1/s], accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Grips grips;
@@ -100,6 +104,7 @@ struct Plan {
             if (grips.prescribed[grip]) free_inverse[grips.particle[grip]] = 0.0;
     }
     void add_list(List list) {
+        if (is_plastic(list.kind)) plastic_list = static_cast<std::int64_t>(lists.size());
         lists.push_back(std::move(list));
         slots.clear();
         curvature_bounds.clear();
@@ -155,6 +160,8 @@ struct Plan {
     }
     bool has_contact() const { return contacts.count() || self != nullptr; }
     bool has_self_friction() const;
+    /// Number of plastic lengths.
+    std::int64_t plastic_count() const { return plastic_list < 0 ? 0 : lists[plastic_list].count; }
     /// Size of all anchors.
     std::int64_t anchor_count() const {
         return contacts.obstacle_anchors(count) + (has_self_friction() ? layer_sides * anchor_numbers * count : 0);
@@ -205,6 +212,7 @@ struct Run {
     const double* previous_v0 = nullptr;  ///< velocities at the start of the interval before, or null
     double previous_ratio = 0.0;          ///< length of the run relative to that interval
     int workspace = 0;                    ///< index of the workspace
+    double* plastic_lengths = nullptr;    ///< at the end, or null
 
     /// The `ContactSummary` in the record.
     double* contact_summary(const Plan& plan) const { return contact_record + plan.contacts.count() * record_numbers; }

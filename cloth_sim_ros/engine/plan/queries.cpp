@@ -14,8 +14,8 @@
 
 namespace cloth::plan {
 
-using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Membrane, laws::PointFace, laws::Spring,
-    laws::StiffeningMembrane, mesh::Kind;
+using laws::Altitude, laws::BendingFriction, laws::Crossed, laws::EdgeEdge, laws::Membrane, laws::PointFace,
+    laws::Spring, laws::StiffeningMembrane, mesh::Kind;
 
 Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;
@@ -136,6 +136,28 @@ void membrane_blocks(const List& list, const double* x, std::int64_t n, double s
         evaluate(StiffeningMembrane{});
     else
         evaluate(Membrane{});
+}
+
+double combine_plastic_lengths(const Plan& plan, const double* x, std::int64_t runs, const double* weights,
+                               const double* ends, double* out) {
+    if (plan.plastic_list < 0) return 0.0;
+    const List& list = plan.lists[plan.plastic_list];
+    double work = 0.0;
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const double last = ends[(runs - 1) * list.count + e];
+        double sum = 0.0;
+        bool same = true;
+        for (std::int64_t run = 0; run < runs; ++run) {
+            const double end = ends[run * list.count + e];
+            same = same && end == last;
+            sum = fma(weights[run], end, sum);
+        }
+        ElementState<BendingFriction> s(list, e, x, nullptr, plan.count);
+        s.params.plastic_length = same ? last : sum;
+        out[e] = BendingFriction::returned(s.params, laws::Crossed::length(s.d).h);
+        work += BendingFriction::plastic_work(s.params, out[e]);
+    }
+    return work;
 }
 
 void hinge_lengths(const List& list, const double* x, std::int64_t n, double* lengths, double* squares) {

@@ -61,6 +61,11 @@ void pair_blocks(const List& list, const double* x, std::int64_t n, double stiff
 /// `laws::MembraneLaw::couplings`.
 void membrane_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
                      double* blocks);
+/// Combine the plastic lengths after runs, each (count), at the combined positions x (3, n). Those that no run moved are
+/// kept, the others are combined with the weights of the runs. All are returned to the reach of their elements. The work
+/// [J] of this return is returned.
+double combine_plastic_lengths(const Plan& plan, const double* x, std::int64_t runs, const double* weights,
+                               const double* ends, double* out);
 /// Signed lengths h [m] of hinges of a list, NaN if undefined, and, unless `squares` is null, |dh/dx|^2 of their four
 /// corners (count, 4).
 void hinge_lengths(const List& list, const double* x, std::int64_t n, double* lengths, double* squares);

@@ -21,9 +21,10 @@ RunStatus run_lists(Plan& plan, const Run& run);
 RunStatus evaluate_lists(Plan& plan, const Run& run);
 
 /// Add the forces of all elements at positions x and velocities v to f, all quads by particle, and the mass of carried
-/// air to `mass`, two quads by particle; null for lists without.
+/// air to `mass`, two quads by particle; null for lists without. Plastic lengths of the elements move to the end of the
+/// step, `half_step` [s] later; 0 keeps them.
 template <class T>
-void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers,
-                T* mass = nullptr);
+void add_forces(const List& list, Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers,
+                T* mass = nullptr, T half_step = T(0));
 
 }  // namespace cloth::plan

@@ -105,8 +105,8 @@ struct DisplacementEstimate {
 };
 
 /// Estimate the displacement that velocity errors (3, n) [m/s] cause within a time [s], at positions x: the geometric
-/// mean of the bounds, at most `max_reserve` times the lower one. Contact, grips and forces in Python are left out,
-/// because what they hold now may fly; without a part of K the result is larger.
+/// mean of the bounds, at most `max_reserve` times the lower one. Contact, friction of bending, grips and forces in
+/// Python are left out, because what they hold now may fly; without a part of K the result is larger.
 inline DisplacementEstimate velocity_displacement(Plan& plan, double t, const double* x, const double* errors,
                                                   double time) {
     DisplacementEstimate estimate;

@@ -85,6 +85,12 @@ class WorkAccumulator:
         self._sums = self._sums.copy()
         self._gripper_sums[:] += impulses
 
+    def add_dissipation(self, work: float) -> None:
+        """Add energy [J] that friction of bending dissipated, if powers are recorded."""
+        if self.record_power and work:
+            self._sums = self._sums.copy()
+            self._power_sums[0] += work
+
     def add_recovery_work(self, work: float) -> None:
         """Add work [J] of contacts that regain their thickness."""
         self._recovery_work += work

@@ -600,7 +600,13 @@ class Controller:
         return is_repeated and refinement > CONSTANTS.estimate_trust_factor * self.refinement
 
     def _halve_if_long(self, piece: Piece) -> bool:
-        """Halve a piece if it has enough steps, and its halves fit the work budget; they start with the same step."""
+        """Halve a piece if it has enough steps, and its halves fit the work budget; they start with the same step.
+
+        Kinks of friction of bending do not halve: many hinges yield in each frame, and steps are of order 2 there.
+        Contact jumps, so that pieces of a model with contact are halved nevertheless.
+        """
+        if self._plan.plastic is not None and self._plan.contact is None:
+            return False
         fits = piece.steps >= _MIN_HALVED_STEPS and self._fits(self.n_runs, self.refinement, piece)
         if not (fits and self._halve(piece.length)):
             return False

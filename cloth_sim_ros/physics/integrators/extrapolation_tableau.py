@@ -258,14 +258,13 @@ class ExtrapolationTableau:
         return self._contact_summaries[n_runs]
 
     def commit(self, n_runs: int, state: State) -> None:
-        """Write the end of T_K, K = n_runs, into a state: positions, velocities, jaws and friction anchors."""
+        """Write the end of T_K, K = n_runs, into a state: positions, velocities, and the memory that runs change."""
         state.x, state.v = self.combine(n_runs)
-        contact = self._plan.contact
-        if contact is None or not contact.force.has_memory:
+        if not self._plan.has_end_memory:
             return
         self._make_runs(n_runs)
         end, runs, run_weights = self.t + self.duration, self._runs[:n_runs], weights(self.counts[:n_runs])
-        state.memory |= contact.combine_ends(end, state.x, state.v, runs, run_weights, self._start.memory)
+        state.memory |= self._plan.combine_ends(end, state.x, state.v, runs, run_weights, self._start.memory)
 
     def work(self, n_runs: int) -> float:
         """Return the external work [J] over T_K, K = n_runs.

@@ -231,7 +231,7 @@ class ImplicitAdvance:
         Returns:
             Its error [m] and its last acceleration [m/s^2]; None if even the smallest step has no result.
         """
-        state, contact = self._state, self._plan.contact
+        state = self._state
         step, n_unsolved = self._solve_step(t, h, guess), 0
         if self._uses_safe_steps and (step is None or self._creates_energy(t, h, step)):
             if self._is_strict and self._halves_failed_steps:
@@ -252,8 +252,9 @@ class ImplicitAdvance:
         if self._accumulator is not None:
             _accumulate_step(self._accumulator, self._plan, t, h, step, state.memory)
         state.x, state.v = step.x, step.v
-        if contact is not None:
-            contact.update_after_step(t + h, h, state)
+        work = self._plan.update_after_step(t + h, h, state)
+        if self._accumulator is not None:
+            self._accumulator.add_dissipation(work)
         self._n_unsolved += n_unsolved
         self._n_steps, self._min_step = self._n_steps + 1, min(self._min_step, h)
         return step.error, step.a

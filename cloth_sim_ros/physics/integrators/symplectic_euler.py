@@ -107,5 +107,6 @@ class SymplecticEuler(Integrator):
             state.x += h * state.v
             if is_prescribed:
                 plan.prescribe(t + (k + 1) * h, state.x, state.v)
-            if plan.contact is not None:
-                plan.contact.update_after_step(t + (k + 1) * h, h, state)
+            work = plan.update_after_step(t + (k + 1) * h, h, state)
+            if accumulator is not None:
+                accumulator.add_dissipation(work)

@@ -31,12 +31,14 @@ MOVE_OPERATIONS, GRID_SPRING_OPERATIONS = 40, 26
 GRID_CELL_OPERATIONS = {"quad": 45, "mass_quad": 140, "quadratic": 12}
 #: Element kinds of added mass.
 MASS_KINDS = ("mass_triangle", "mass_quad")
+#: Element kind with plastic lengths.
+PLASTIC_KIND = "bending_friction"
 #: Element kinds whose forces multirate runs evaluate less often.
 HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
 ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160)
 ELEMENT_OPERATIONS |= {"membrane": 130, "stiffening_membrane": 160, "mass_triangle": 240, "mass_quad": 300}
-ELEMENT_OPERATIONS |= {"quadratic": 120, "coupling": 40}
+ELEMENT_OPERATIONS |= {"quadratic": 120, "bending_friction": 160, "coupling": 40}
 
 
 @attrs.define(eq=False)
@@ -83,6 +85,8 @@ class Assembly:
                         elements.kind in MASS_KINDS for elements in assembly.element_lists
                     ):
                         raise ValueError("two forces of a model have added mass; merge their panels into one")
+                    if part.kind == PLASTIC_KIND and assembly.plastic is not None:
+                        raise ValueError("two forces of a model have friction of bending; merge their hinges into one")
                     assembly.element_lists.append(part)
                 elif isinstance(part, ContactPart):
                     if assembly.contact is not None:
@@ -96,6 +100,11 @@ class Assembly:
                     assembly.drag += part.drag
         assembly.grid = _merge_grids(grids)
         return assembly
+
+    @property
+    def plastic(self) -> ElementList | None:
+        """The hinges with friction; None without any."""
+        return next((part for part in self.element_lists if part.kind == PLASTIC_KIND), None)
 
     def upload(self, handle: int) -> None:
         """Upload all parts to the engine's plan, given by its pointer."""

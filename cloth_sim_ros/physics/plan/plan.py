@@ -30,12 +30,13 @@ from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.plan.assembly import HINGE_KINDS, MASS_KINDS, Assembly
 from cloth_sim_ros.physics.plan.grip_binding import GripBinding
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
+from cloth_sim_ros.physics.plan.plastic_lengths import PlasticLengths
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.plan.queries import PlanQueries
 from cloth_sim_ros.physics.plan.runs import VIOLATION_INDEX, Run, RunSummary, activity_of, n_integrals
 from cloth_sim_ros.physics.plan.thread_limit import available_threads
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
-from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, StateMemory
+from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, PLASTIC_LENGTHS_KEY, StateMemory
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.binding import ContactBinding
@@ -131,6 +132,8 @@ class Plan(PlanQueries, Uncopyable):
             from cloth_sim_ros.physics.contact.binding import ContactBinding
 
             self.contact = ContactBinding(self._owner, assembly.contact, count)
+        #: Plastic lengths of hinges with friction; None without any.
+        self.plastic = None if assembly.plastic is None else PlasticLengths(self._owner, assembly.plastic, count)
         self._python_callback = PythonForces(self._python_forces, self._shape) if self._python_forces else None
         if self._python_callback is not None:
             check(self._library.cloth_plan_callback(self._handle, self._python_callback.callback))
@@ -214,7 +217,7 @@ class Plan(PlanQueries, Uncopyable):
             before: velocities [m/s] at the start of the interval before, (3, n), and its length [s]; None for none.
             multirate: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is
                 odd and divides all ``steps``.
-            memory: `State.memory` at the start; a plan without contact does not need it.
+            memory: `State.memory` at the start; a plan without contact and friction of bending does not need it.
 
         Returns:
             The runs; and positions, velocities and the summary of their combination, None without weights. Runs beyond
@@ -248,6 +251,7 @@ class Plan(PlanQueries, Uncopyable):
                 if self.contact.force.has_memory:
                     end_buffers = self.contact.end_buffers(count)
                     end_addresses = [0 if array is None else address(array) for array in end_buffers]
+            plastic_ends = None if self.plastic is None else self.plastic.end_buffer(count)
             integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
             n_combined = count
             if weights is not None:
@@ -285,6 +289,7 @@ class Plan(PlanQueries, Uncopyable):
                 self._activities_address,
                 0 if before is None else doubles("before", before[0], self._shape),
                 0.0 if before is None else duration / before[1],
+                0 if plastic_ends is None else address(plastic_ends),
             )
             status = self._library.cloth_frame(self._handle, self._frame_address)
             if status:
@@ -312,6 +317,8 @@ class Plan(PlanQueries, Uncopyable):
                     )
                     for k in range(count)
                 ]
+            if plastic_ends is not None:
+                runs = [run._replace(plastic_lengths=ends) for run, ends in zip(runs, plastic_ends, strict=False)]
             if weights is None:
                 return runs, None
             summary_out = self._summary_out[:]
@@ -411,6 +418,50 @@ class Plan(PlanQueries, Uncopyable):
         self.accelerations(t, x, v, out, memory)
         f += self.momenta(x, out)
 
+    @property
+    def has_end_memory(self) -> bool:
+        """True if runs change the memory of a state: anchors, jaws or plastic lengths."""
+        return self.plastic is not None or (self.contact is not None and self.contact.force.has_memory)
+
+    def combine_ends(
+        self, t: float, x: Array, v: Array, runs: Sequence[Run], weights: Sequence[float], memory: StateMemory
+    ) -> dict[str, Array]:
+        """Return anchors, jaws and plastic lengths of a weighted combination of runs, by their key in the memory.
+
+        Args:
+            t: time at the end [s].
+            x: combined positions [m], shape (3, n).
+            v: combined velocities [m/s], shape (3, n).
+            runs: the runs.
+            weights: dimensionless weight of each run.
+            memory: of the state at the start of the runs.
+        """
+        ends: dict[str, Array] = {}
+        if self.contact is not None and self.contact.force.has_memory:
+            ends = self.contact.combine_ends(t, x, v, runs, weights, memory)
+        if self.plastic is not None:
+            plastic_ends = np.array([run.plastic_lengths for run in runs])
+            ends[PLASTIC_LENGTHS_KEY], _ = self.plastic.combine(x, plastic_ends, weights)
+        return ends
+
+    def update_after_step(self, t: float, h: float, state: State) -> float:
+        """Update jaws, anchors and plastic lengths of a state after a step that kept them.
+
+        Args:
+            t: time at the end of the step [s].
+            h: length of the step [s].
+            state: state at the end of the step.
+
+        Returns:
+            Work that friction of bending dissipated [J].
+        """
+        if self.contact is not None:
+            self.contact.update_after_step(t, h, state)
+        if self.plastic is None:
+            return 0.0
+        state.memory[PLASTIC_LENGTHS_KEY], work = self.plastic.returned(state.x, state.memory)
+        return work
+
     def steady(self) -> bool:
         """Return true if all forces at given positions and velocities are constant until the next event."""
         return all(force.steady() for force in self.model.forces)
@@ -419,7 +470,7 @@ class Plan(PlanQueries, Uncopyable):
         self, duration: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY
     ) -> bool:
         """Return true if runs over a duration [s] from a state may calculate in single precision."""
-        if self._python_forces:
+        if self._python_forces or self.plastic is not None:
             return False
         return self.contact is None or self.contact.supports_single_precision(duration, x, v, memory)
 

@@ -16,6 +16,7 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.grip_binding import GripBinding
+from cloth_sim_ros.physics.plan.plastic_lengths import PlasticLengths
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, StateMemory
 
@@ -29,11 +30,13 @@ _NO_PARTICLES: NDArray[np.int64] = np.empty(0, dtype=np.int64)
 class PlanQueries:
     """Queries of a plan at positions [m] and velocities [m/s], shape (3, particle_count), float64, C-contiguous.
 
-    Contact also depends on the memory of the state, `State.memory`; a plan without contact does not need it.
+    Contact and friction of bending also depend on the memory of the state, `State.memory`. A plan without them does not
+    need it.
     """
 
     model: Model
     contact: ContactBinding | None
+    plastic: PlasticLengths | None
     carries_air: bool
     _library: ctypes.CDLL
     _handle: int
@@ -58,6 +61,8 @@ class PlanQueries:
         """Upload the controls and a state's memory as far as they changed."""
         if self.contact is not None:
             self.contact.upload(memory)
+        if self.plastic is not None:
+            self.plastic.upload(memory)
         if self._grip_binding is not None:
             self._grip_binding.upload()
 
@@ -115,7 +120,8 @@ class PlanQueries:
         """Return the largest displacement of a particle [m] that velocity errors cause later.
 
         It is the largest particle of (A + 1/time^2)^(-1/2) e with A = M^-1 K, by the Lanczos method
-        (docs/derivations/time_stepping.md). Contact, grips and forces in Python are left out, which makes it larger.
+        (docs/derivations/time_stepping.md). Contact, friction of bending, grips and forces in Python are left out,
+        which makes it larger.
 
         Args:
             t: time [s].
@@ -211,15 +217,18 @@ class PlanQueries:
             x: positions [m], shape (3, n).
             v: velocities [m/s], shape (3, n).
             weight: factor on the result.
-            memory: `State.memory`; contact acts on prescribed particles too.
+            memory: `State.memory`; contact and friction act on prescribed particles too.
 
         Returns:
             Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, RECORD_NUMBERS).
         """
         if self._grip_binding is None:
             return np.zeros((0, RECORD_NUMBERS))
-        if self.contact is not None and self.prescribed_particles().size:
-            self.contact.upload(memory)
+        if self.prescribed_particles().size:
+            if self.contact is not None:
+                self.contact.upload(memory)
+            if self.plastic is not None:
+                self.plastic.upload(memory)
         status, rates = self._grip_binding.wrench_rates(t, x, v, weight)
         self._raise_for_status(status)
         return rates

@@ -38,6 +38,8 @@ class Run(NamedTuple):
     anchors: Array | None = None
     #: States of jaws at the end, shape (pinches, JAW_NUMBERS); None without jaws.
     jaw_states: Array | None = None
+    #: Plastic lengths at the end [m], shape (hinges,); None without friction of bending.
+    plastic_lengths: Array | None = None
 
     @property
     def x(self) -> Array:

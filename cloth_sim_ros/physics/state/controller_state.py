@@ -262,9 +262,12 @@ SETPOINTS_KEY = "contact.setpoints"
 THICKNESS_KEY = "contact.thickness"
 #: Key of the points of joints in the frames of their obstacles [m], shape (joints, 3).
 JOINTS_KEY = "joint.offsets"
-#: Named arrays of a state, `State.memory`. Forces of contact depend on its anchors, jaws and thickness.
+#: Key of the plastic lengths of hinges with friction [m], shape (hinges,).
+PLASTIC_LENGTHS_KEY = "bending.plastic_lengths"
+#: Named arrays of a state, `State.memory`. Forces of contact depend on its anchors, jaws and thickness, friction of
+#: bending on its plastic lengths.
 StateMemory: TypeAlias = Mapping[str, np.ndarray]
-#: Default of queries, which a plan with contact refuses.
+#: Default of queries, which a plan with contact or friction of bending refuses.
 MISSING_MEMORY: StateMemory = MappingProxyType({})
 #: Key of flags, shape (grippers,): True once the jaws are reported to be at rest.
 JAWS_AT_REST_KEY = "contact.settled"

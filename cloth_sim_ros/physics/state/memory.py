@@ -14,6 +14,7 @@ from cloth_sim_ros.physics.state.controller_state import (
     JAWS_AT_REST_KEY,
     JAWS_KEY,
     JOINTS_KEY,
+    PLASTIC_LENGTHS_KEY,
     SETPOINTS_KEY,
     THICKNESS_KEY,
     SleepState,
@@ -96,6 +97,9 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         _check_array(THICKNESS_KEY, reduced, _FLOAT, (len(reduced) if reduced.ndim else 0, particle_count + 1))
         if not (reduced > 0.0).all():
             raise ValueError(f"memory '{THICKNESS_KEY}' holds {reduced.min()}; it must be above 0")
+    if PLASTIC_LENGTHS_KEY in memory:
+        lengths = memory[PLASTIC_LENGTHS_KEY]
+        _check_array(PLASTIC_LENGTHS_KEY, lengths, _FLOAT, (lengths.size,))
     if JOINTS_KEY in memory:
         _check_array(JOINTS_KEY, memory[JOINTS_KEY], _FLOAT, (len(np.atleast_1d(memory[JOINTS_KEY])), 3))
     n_pinches = len(np.atleast_1d(memory.get(JAWS_KEY, ())))

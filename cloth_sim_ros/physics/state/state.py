@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.state import memory as state_memory
 from cloth_sim_ros.physics.state import npz
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LEGACY_KEYS
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LEGACY_KEYS, PLASTIC_LENGTHS_KEY
 
 _FRAME = "frame"
 _POSITION = "position"
@@ -127,9 +127,9 @@ class State:
         self.memory = dict(source.memory)
 
     def restore_motion(self, start: State) -> None:
-        """Restore positions, velocities, friction anchors and jaws: all that an interval itself changes."""
+        """Restore positions, velocities, anchors, jaws and plastic lengths: all that an interval itself changes."""
         self.x, self.v = start.x, start.v
-        for name in (ANCHORS_KEY, JAWS_KEY):
+        for name in (ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY):
             self.memory.pop(name, None)
             if name in start.memory:
                 self.memory[name] = start.memory[name]

@@ -89,6 +89,7 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         lambda scene: scene.bending.model in ("none", "axial"),
         "only opposite, crossed and altitude bending use it",
     ),
+    (("bending.yield_curvature",), lambda scene: not scene.bending.friction_moment, "bending.friction_moment is 0"),
     (("bending.flat",), lambda scene: not (scene.cloth.mesh or scene.cloth.springs), "a grid is flat at rest"),
     (("material.bending_modulus",), lambda scene: scene.bending.model == "none", "bending.model is none"),
     (

@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.controls import ContactControls, Controls, GripControls, ThicknessRecovery
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, JOINTS_KEY, LAYER_SIDES, THICKNESS_KEY
+from cloth_sim_ros.physics.state.controller_state import (
+    ANCHORS_KEY,
+    JAWS_KEY,
+    JOINTS_KEY,
+    LAYER_SIDES,
+    PLASTIC_LENGTHS_KEY,
+    THICKNESS_KEY,
+)
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.build import obstacle_joints
 from cloth_sim_ros.scene.scene import Scene
@@ -266,8 +273,13 @@ def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | N
 
 
 def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> None:
-    """Replace obstacles, friction anchors and contact thickness in states by those of another scene."""
+    """Replace obstacles, friction anchors and contact thickness in states by those of another scene.
+
+    A scene without friction of bending has no plastic lengths.
+    """
     for state in states:
+        if not scene.bending.friction_moment and PLASTIC_LENGTHS_KEY in state.memory:
+            state.memory = {key: array for key, array in state.memory.items() if key != PLASTIC_LENGTHS_KEY}
         if before.obstacles != scene.obstacles:
             from cloth_sim_ros.simulation.bodies.obstacles import replace_obstacles
 
