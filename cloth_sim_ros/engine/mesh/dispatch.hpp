@@ -9,8 +9,8 @@
 
 namespace cloth::mesh {
 
-using laws::AddedMass, laws::Altitude, laws::BendingFriction, laws::Coupling, laws::Crossed, laws::EdgeEdge, laws::Joint,
-    laws::law_params, laws::Membrane, laws::Panel, laws::PointFace, laws::QuadraticHinge, laws::Spring,
+using laws::AddedMass, laws::Altitude, laws::BendingFriction, laws::Coupling, laws::Crossed, laws::EdgeEdge,
+    laws::Joint, laws::law_params, laws::Membrane, laws::Panel, laws::PointFace, laws::QuadraticHinge, laws::Spring,
     laws::StiffeningMembrane;
 
 /// Call `visit` with the law of a kind.

@@ -80,8 +80,8 @@ public:
         if (common) std::copy(common, common + common_of(kind), this->common);
         slow = kind == Kind::crossed || kind == Kind::altitude;
         // A plastic length follows the velocities.
-        damped = is_panel(kind) || is_mass(kind) || is_plastic(kind) ||
-                 (has_damping_time(kind) && this->common[0] > 0.0);
+        damped =
+            is_panel(kind) || is_mass(kind) || is_plastic(kind) || (has_damping_time(kind) && this->common[0] > 0.0);
         for (std::int64_t e = 0; !damped && !has_damping_time(kind) && e < count; ++e)
             damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
