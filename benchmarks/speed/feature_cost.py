@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import time
 from collections.abc import Callable, Mapping
@@ -20,7 +19,6 @@ from benchmarks.speed.hand_written_loop import HandWrittenLoop
 from benchmarks.timing import time_interleaved
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.command import run_module
 from validation.report import Report, Table
 
 #: Largest ratio of a frame to one of the hand-written loop.
@@ -29,7 +27,6 @@ MAX_HAND_WRITTEN_RATIO = 1.02
 MAX_SLEEP_RATIO = 0.03
 #: Largest ratio of a frame of a realistic sheet to one of the default cloth.
 MAX_REALISTIC_RATIO = 1.5
-PARTS = ("hand", "features", "realistic", "counts", "outputs", "start")
 #: Scenes whose loaded modules are listed.
 _SCENES: dict[str, dict[str, Any]] = {
     "default": {},
@@ -51,17 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
     report = Report("Cost of features", "python -m benchmarks feature-cost")
-    parts = {
-        "hand": _hand,
-        "features": _features,
-        "realistic": _realistic,
-        "counts": _counts,
-        "outputs": _outputs,
-        "start": _start,
-    }
-    for part in PARTS:
-        if part in options.only:
-            parts[part](options, report)
+    for part in options.only:
+        PARTS[part](options, report)
     timing = "candidates are interleaved on one core and timed by processor time"
     report.note(f"{timing}; ratios are medians over the rounds")
     return report
@@ -208,40 +196,4 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
     report.tables.append(imports)
 
 
-def _run_measurement(module: str, report: Report) -> dict[str, Any] | None:
-    """Run a measurement of the node in its own process, because this one must not load ROS; return its output."""
-    done = run_module(f"benchmarks.ros.{module}")
-    try:
-        figures: dict[str, Any] = json.loads(done.stdout)
-    except ValueError:
-        report.note(f"{module} failed: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
-        return None
-    return figures
-
-
-def _outputs(_options: argparse.Namespace, report: Report) -> None:
-    figures = _run_measurement("outputs", report)
-    if figures is None:
-        return
-    columns = ["there is", "frame ms", "to nobody"]
-    table = Table(f"Cost of outputs in a frame of {figures['particles']} particles", columns)
-    for name, times in figures["presences"].items():
-        table.rows.append([name, times["median_ms"], times["to_nobody"]])
-    report.tables.append(table)
-    if not figures["met"]:
-        ratio = figures["presences"]["both"]["to_nobody"]
-        report.fail(f"with recorder and subscriber {ratio:.3f} times the frame; target {figures['goal']:g}")
-
-
-def _start(_options: argparse.Namespace, report: Report) -> None:
-    figures = _run_measurement("start", report)
-    if figures is None:
-        return
-    columns = ["start", "least s", "median s", "most s", "processor time s"]
-    table = Table("From process start to the first cloud at a subscriber", columns)
-    warm = figures["warm_s"]
-    row = ["warm cache", min(warm), figures["warm_median_s"], max(warm), figures["warm_processor_median_s"]]
-    table.rows.append(row)
-    report.tables.append(table)
-    if not figures["met"]:
-        report.fail(f"a warm start took {figures['warm_median_s']} s; target {figures['goal_s']} s")
+PARTS = {"hand": _hand, "features": _features, "realistic": _realistic, "counts": _counts}
