@@ -31,7 +31,7 @@ class InterleavedTimes:
 
 
 def time_interleaved(
-    candidates: Mapping[str, Callable[[], None]], *, seconds: float, clock: Callable[[], float] = time.perf_counter
+    candidates: Mapping[str, Callable[[], object]], *, seconds: float, clock: Callable[[], float] = time.perf_counter
 ) -> InterleavedTimes:
     """Time candidates round by round for about `seconds`, and at least `MIN_ROUNDS` rounds.
 

@@ -79,6 +79,16 @@ class Report:
         """Add a requirement that was not met."""
         self.failures.append(text)
 
+    def require(self, holds: bool, failure: str) -> None:
+        """Add a requirement that was not met, unless it holds."""
+        if not holds:
+            self.fail(failure)
+
+    def add_table(self, name: str, columns: list[str]) -> Table:
+        """Add a table without rows."""
+        self.tables.append(Table(name, columns))
+        return self.tables[-1]
+
     def table(self, name: str) -> Table:
         """Return the table whose name begins so."""
         return next(table for table in self.tables if table.name.startswith(name))
