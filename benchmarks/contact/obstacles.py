@@ -54,15 +54,10 @@ def run(options: argparse.Namespace) -> Report:
     return report
 
 
-def _require(report: Report, holds: bool, failure: str) -> None:
-    if not holds:
-        report.fail(failure)
-
-
 def slopes(report: Report, options: argparse.Namespace) -> None:
     """Measure sheets 0.1 degrees below and above the friction angle, and 5 degrees above it."""
     columns = ["mu_s", "mu_k", "sheet", "below: way um", "anchors moved", "above: way mm", "g off at +5 deg %"]
-    table = Table("Slopes", columns)
+    table = report.add_table("Slopes", columns)
     for mu in (0.1, 0.3, 0.6, 1.0):
         steep = math.degrees(math.atan(mu))
         for kind in ("grid", "mesh"):
@@ -77,10 +72,9 @@ def slopes(report: Report, options: argparse.Namespace) -> None:
                 off = _acceleration(kind, count, steep + SLIDING_MARGIN, mu)
                 table.rows.append([mu, 0.8 * mu, name, 1e6 * displacement, moved, 1e3 * slid, 100.0 * off])
                 sticks = displacement < SLIPPED and not moved
-                _require(report, sticks, f"mu {mu}, {name}: slips below the angle of friction")
-                _require(report, slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
-                _require(report, abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
-    report.tables.append(table)
+                report.require(sticks, f"mu {mu}, {name}: slips below the angle of friction")
+                report.require(slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
+                report.require(abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
     report.note("mu_k applies to the last column only; the others use mu_s for both coefficients.")
 
 
@@ -120,12 +114,12 @@ def drift(report: Report, options: argparse.Namespace) -> None:
     slipped = int((motion.state.memory[ANCHORS_KEY] != start_anchors).sum())
     columns = ["seconds", "largest way um", "numbers of anchors that changed"]
     report.tables.append(Table("Drift", columns, [[options.drift, 1e6 * displacement, slipped]]))
-    _require(report, displacement < 1e-6 and not slipped, f"a sheet that sticks drifted by {displacement:.2g} m")
+    report.require(displacement < 1e-6 and not slipped, f"a sheet that sticks drifted by {displacement:.2g} m")
 
 
 def weight(report: Report, options: argparse.Namespace) -> None:
     """Compare the force on a plane, a box and a sphere with the weight of a resting sheet."""
-    table = Table("Weight borne", ["on", "sheet", "off %", "fastest particle m/s"])
+    table = report.add_table("Weight borne", ["on", "sheet", "off %", "fastest particle m/s"])
     for name, shape in _SUPPORTS.items():
         for kind in ("grid", "mesh"):
             values, files = sheet(kind, 12)
@@ -139,8 +133,7 @@ def weight(report: Report, options: argparse.Namespace) -> None:
             fastest = float(np.abs(motion.state.v).max())
             off = up / (mass * G)
             table.rows.append([name, kind, 100.0 * off, fastest])
-            _require(report, abs(off) < 1e-3, f"{name}, {kind}: bears {100.0 * off:.2g} % off the weight")
-    report.tables.append(table)
+            report.require(abs(off) < 1e-3, f"{name}, {kind}: bears {100.0 * off:.2g} % off the weight")
 
 
 _FLAT: dict[str, Any] = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0]}
@@ -154,7 +147,7 @@ _SUPPORTS: dict[str, dict[str, Any]] = {
 
 def capstan(report: Report, options: argparse.Namespace) -> None:
     """Compare the tensions at the ends of a strip over a turning drum with the capstan equation."""
-    table = Table("Capstan", ["mu", "angle deg", "mu theta", "ratio", "exp(mu theta)", "off %"])
+    table = report.add_table("Capstan", ["mu", "angle deg", "mu theta", "ratio", "exp(mu theta)", "off %"])
     for mu, degrees in ((0.25, 90.0), (0.5, 90.0), (0.5, 180.0), (0.64, 180.0)):
         strip = Capstan(mu, math.radians(degrees))
         # The integrator of the product.
@@ -169,15 +162,14 @@ def capstan(report: Report, options: argparse.Namespace) -> None:
         ratio, expected = float(pulls.max() / pulls.min()), math.exp(mu * math.radians(degrees))
         off = ratio / expected - 1.0
         table.rows.append([mu, degrees, mu * math.radians(degrees), ratio, expected, 100.0 * off])
-        _require(report, abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
-    report.tables.append(table)
+        report.require(abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
     report.note("Capstan: means over 1.5 s, from 1 s on; the drum surface slides at 0.2 m/s under the strip.")
 
 
 def impacts(report: Report, options: argparse.Namespace) -> None:
     """Drop sheets flat and edge on onto a plane."""
     columns = ["speed m/s", "sheet falls", "deepest gap / thickness", "finest step us", "evaluations", "flagged"]
-    table = Table("Impacts", columns)
+    table = report.add_table("Impacts", columns)
     for speed in (1.0, 5.0, 20.0):
         for name, orientation in (("flat", [0.0, 0.0, 0.0, 1.0]), ("edge on", contact_self.EDGE_ON)):
             values, _ = sheet("grid", 12)
@@ -202,8 +194,7 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
                 finest, evaluations = min(finest, done.step), evaluations + done.evaluations
                 flagged += done.flagged
             table.rows.append([speed, name, deepest / THICKNESS, 1e6 * finest, evaluations, flagged])
-            _require(report, deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
-    report.tables.append(table)
+            report.require(deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
     report.note("Impacts: 30 frames after a start 10 mm above; a frame that reaches its work limit is flagged.")
 
 
@@ -213,7 +204,7 @@ def order(report: Report, options: argparse.Namespace) -> None:
     position = [0.04, 0.0, 0.11]
     values |= {**_SUPPORTS["sphere"], "obstacles": ["it"], "it.friction": [0.4, 0.3], "cloth.position": position}
     columns = ["tolerance m", "largest error m", "of the error bound", "evaluations"]
-    table = Table("Sliding over a ball for a third of a second", columns)
+    table = report.add_table("Sliding over a ball for a third of a second", columns)
 
     def end(tolerance: float, perturbation: float = 0.0) -> tuple[Any, int, int]:
         motion = Motion({**values, "tolerance": tolerance, "work_limit": 1e3})
@@ -229,14 +220,13 @@ def order(report: Report, options: argparse.Namespace) -> None:
         error = float(np.linalg.norm(x - best, axis=0).max())
         table.rows.append([tolerance, error, error / (tolerance * amplification), evaluations])
         is_covered = flagged > 0 or error <= tolerance * amplification
-        _require(report, is_covered, f"{tolerance:g} m: {error:.2g} m off, unflagged")
-    report.tables.append(table)
+        report.require(is_covered, f"{tolerance:g} m: {error:.2g} m off, unflagged")
     report.note(f"Sliding: a perturbation of 10 um was amplified {amplification:.3g} times.")
 
 
 def cost(report: Report, options: argparse.Namespace) -> None:
     """Compare the frame time of a sheet on a table with a free one, and of a distant obstacle with none."""
-    table = Table("Cost", ["what", "sheet", "against", "times", "at most"])
+    table = report.add_table("Cost", ["what", "sheet", "against", "times", "at most"])
     flat = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "tolerance": 1e-3}
     for count in (30, 64):
         common = {**SHEET, "cloth.size": [1.0, 1.0], "cloth.resolution": [count, count], **flat}
@@ -246,13 +236,12 @@ def cost(report: Report, options: argparse.Namespace) -> None:
             free = Motion({**common, "gravity": [0.0, 0.0, 0.0]})
             ratio = _cost_ratio(on, free, options.seconds)
             table.rows.append([name, f"{count} x {count}", "floating", ratio, 1.3])
-            _require(report, ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
+            report.require(ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
         hung = {**common, "cloth.anchors": ["top"], "cloth.orientation": contact_self.EDGE_ON}
         ball = {"obstacles": ["it"], "it.shape": "sphere", "it.size": [0.2], "it.position": [3.0, 0.0, 0.0]}
         ratio = _cost_ratio(Motion({**hung, **ball}), Motion(hung), options.seconds)
         table.rows.append(["a ball out of reach", f"{count} x {count}", "none", ratio, 1.02])
-        _require(report, ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
-    report.tables.append(table)
+        report.require(ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
 
 
 def _cost_ratio(candidate_motion: Motion, baseline: Motion, seconds: float) -> float:

@@ -132,7 +132,7 @@ def pinch(report: Report, options: argparse.Namespace) -> None:
 
 def _measure_holding_force(report: Report) -> None:
     columns = ["mu", "sheet", "at 0.99: way mm", "at 1.01: way mm", "anchors that moved"]
-    table = Table("A pinch: force over m g / (2 mu) at which a sheet slides and is held", columns)
+    table = report.add_table("A pinch: force over m g / (2 mu) at which a sheet slides and is held", columns)
     for mu in (0.2, 0.5, 1.0):
         for kind, count in (("grid", 4), ("grid", 8), ("mesh", 6)):
             displacements, moved = [], 0
@@ -148,7 +148,6 @@ def _measure_holding_force(report: Report) -> None:
                 report.fail(
                     f"mu {mu}, {name}: it slides {1e3 * displacements[0]:.3g} mm, is held to {displacements[1]:.2g} m"
                 )
-    report.tables.append(table)
 
 
 def _measure_creep(report: Report, seconds: float) -> None:
@@ -166,7 +165,7 @@ def _measure_creep(report: Report, seconds: float) -> None:
 
 def _measure_carrying(report: Report) -> None:
     columns = ["along", "force over m g / (2 mu)", "sheet", "largest excursion in spacings", "left at rest um"]
-    table = Table("Carried by a pinch at 1 m/s and 2 m/s^2", [*columns, "anchors that slipped"])
+    table = report.add_table("Carried by a pinch at 1 m/s and 2 m/s^2", [*columns, "anchors that slipped"])
     for direction, axis, share in (("sideways, in its plane", 0, 4.0), ("across", 1, 2.0), ("up", 2, 2.0)):
         for kind, count in (("grid", 4), ("grid", 8)):
             excursion, residual, moved = _carry(PinchedSheet(kind, count, 0.5, share), axis)
@@ -175,7 +174,6 @@ def _measure_carrying(report: Report) -> None:
                 report.fail(
                     f"carried {direction}, {kind} {count}: gives by {excursion:.2g} spacings, {residual:.2g} m left"
                 )
-    report.tables.append(table)
     report.note(
         "a sheet that is carried sideways in its own plane turns about the pads and loads their ends alone: that takes "
         "more than twice the force that bears its weight"

@@ -135,8 +135,7 @@ def add(sheet: str, cost: Cost, report: Report) -> None:
         most = TIMES * (first + second) + SHARE
         holds = both <= most
         together.rows.append([a, b, first, second, both, both / (first + second), most, "yes" if holds else "no"])
-        if not holds:
-            report.fail(f"{sheet}, {a} and {b}: together {both:.3g} of base more; at most {most:.3g}")
+        report.require(holds, f"{sheet}, {a} and {b}: together {both:.3g} of base more; at most {most:.3g}")
     report.tables += [alone, together]
     report.note(f"{sheet}: {cost.steps} steps a frame")
 

@@ -19,7 +19,7 @@ from benchmarks.speed.hand_written_loop import HandWrittenLoop
 from benchmarks.timing import time_interleaved
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.report import Report, Table
+from validation.report import Report
 
 #: Largest ratio of a frame to one of the hand-written loop.
 MAX_HAND_WRITTEN_RATIO = 1.02
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> Report:
 
 def _hand(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "scene", "frame ms", "to the loop by hand", "that loop to itself", "to its steps alone", "more us"]
-    table = Table("A simulation's frame against a hand-written loop of the necessary engine calls", columns)
+    table = report.add_table("A simulation's frame against a hand-written loop of the necessary engine calls", columns)
     scenes = {"springs alone": BARE, "springs, damping, drag, gravity": FORCES}
     for resolution in options.sizes:
         makers: dict[str, Callable[[], Callable[[], Any]]] = {}
@@ -77,7 +77,6 @@ def _hand(options: argparse.Namespace, report: Report) -> None:
             table.rows.append(row)
             if ratio > MAX_HAND_WRITTEN_RATIO:
                 report.fail(f"N = {resolution}, {name}: {ratio:.3f} times the loop by hand")
-    report.tables.append(table)
 
 
 def _simulated(scene: Scene) -> Callable[[], Any]:
@@ -132,7 +131,7 @@ def _ratio(times: list[float], baseline: list[float]) -> float:
 
 def _features(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "feature", "is", "frame ms", "to a frame without"]
-    table = Table("Cost of a feature", columns)
+    table = report.add_table("Cost of a feature", columns)
     for resolution in options.sizes:
         everything = variants()
         makers = {variant.name: partial(_running, variant, resolution) for variant in everything}
@@ -145,7 +144,6 @@ def _features(options: argparse.Namespace, report: Report) -> None:
             table.rows.append([resolution, variant.feature, variant.presence, milliseconds, ratio])
             if variant.asleep and ratio > MAX_SLEEP_RATIO:
                 report.fail(f"N = {resolution}: a frame asleep costs {ratio:.3g} of one that moves")
-    report.tables.append(table)
 
 
 #: The default cloth, its parts one by one, and all together: warp and weft, bending modulus, drag and added mass.
@@ -158,7 +156,9 @@ _BENDINGS = ("quadratic", "crossed", "altitude")
 
 
 def _realistic(options: argparse.Namespace, report: Report) -> None:
-    table = Table("A realistic sheet of 30 x 30 particles under error control", ["sheet", "frame ms", "to the default"])
+    table = report.add_table(
+        "A realistic sheet of 30 x 30 particles under error control", ["sheet", "frame ms", "to the default"]
+    )
     sheets: dict[str, dict[str, Any]] = {"default": {}, "warp and weft": _THREADS, "added mass": _MASS}
     sheets |= {f"bending {model}": {"bending.model": model, **_BENDING} for model in _BENDINGS}
     sheets |= {f"realistic, {model}": {"bending.model": model, **_THREADS, **_BENDING, **_MASS} for model in _BENDINGS}
@@ -168,7 +168,6 @@ def _realistic(options: argparse.Namespace, report: Report) -> None:
     times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
     for name in sheets:
         table.rows.append([name, 1e3 * statistics.median(times[name]), _ratio(times[name], times["default"])])
-    report.tables.append(table)
     for name in ("realistic, quadratic", "realistic, quadratic, in wind"):
         ratio = _ratio(times[name], times["default"])
         if ratio > MAX_REALISTIC_RATIO:
@@ -178,7 +177,7 @@ def _realistic(options: argparse.Namespace, report: Report) -> None:
 def _counts(options: argparse.Namespace, report: Report) -> None:
     resolution = options.sizes[0]
     columns = ["feature", "is", "calls of the engine a frame", "bytes a particle that a frame needs", "bytes it keeps"]
-    table = Table(f"Counts, N = {resolution}", columns)
+    table = report.add_table(f"Counts, N = {resolution}", columns)
     for variant in variants():
         simulation = Running(variant, resolution).simulation
         calls = calls_of_a_frame(simulation)
@@ -186,14 +185,14 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
         call_list = ", ".join(f"{name} {count}" if count > 1 else name for name, count in calls.items()) or "none"
         row = [variant.feature, variant.presence, call_list, needed / simulation.state.particle_count, retained]
         table.rows.append(row)
-    report.tables.append(table)
-    imports = Table("Modules that a fresh interpreter has loaded after two frames", ["scene", "ours", *MARKERS])
+    imports = report.add_table(
+        "Modules that a fresh interpreter has loaded after two frames", ["scene", "ours", *MARKERS]
+    )
     for name, values in _SCENES.items():
         loaded = modules_of(values)
         n_product_modules = sum(module.startswith("cloth_sim_ros") for module in loaded)
         seen = ["yes" if any(marker in loaded for marker in markers) else "no" for markers in MARKERS.values()]
         imports.rows.append([name, n_product_modules, *seen])
-    report.tables.append(imports)
 
 
 PARTS = {"hand": _hand, "features": _features, "realistic": _realistic, "counts": _counts}

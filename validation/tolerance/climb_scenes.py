@@ -103,18 +103,14 @@ def linear_window(
     """Evaluate positions (3, n) [m] at the ends of successive durations [s] against the exact motion from the start."""
     exact = [motion.advance(duration) for duration in durations]
     amplification = motion.amplification(durations)
-    return Window(
+    return Window.of(
+        advances,
         first=first,
         frames=len(durations),
         error=max(float(np.linalg.norm(a - b, axis=0).max()) for a, b in zip(positions, exact, strict=True)),
         amplification=amplification,
         error_bound=tolerance * max(1.0, amplification),
         reference_error=float(np.linalg.norm(exact[-1] - motion.positions_after(sum(durations)), axis=0).max()),
-        flagged=sum(advance.flagged > 0 for advance in advances),
-        asleep=sum(advance.limited_by == "rest" for advance in advances),
-        limited_by=", ".join(sorted({advance.limited_by for advance in advances})),
-        reason=max(advances, key=lambda advance: (advance.flagged, advance.evaluations)).reason,
-        evaluations=sum(advance.evaluations for advance in advances),
         reference_evaluations=0,
     )
 

@@ -21,7 +21,7 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.case_pool import CaseResult, run_missing, show_progress
+from validation.case_pool import CasePool
 from validation.report import Report, Table
 from validation.tolerance.random_scenes import DENSITIES, log_uniform
 
@@ -194,20 +194,18 @@ class _FreeEnergyAccount:
 
 def violent(options: argparse.Namespace) -> Report:
     """Run the violent scenes of a seed."""
-    from tqdm import tqdm
-
     command = f"python -m validation tolerance --violent --seed {options.seed} --count {options.count}"
     report = Report("Violent scenes", command)
     cases = [(options.seed, index) for index in range(options.count)]
-    results: list[ViolentResult] = []
-    pool_limits = {"workers": options.jobs, "limit": options.limit}
-    dones = run_missing(run_violent, cases, **pool_limits, file=options.resume, read=_read)
-    for done in show_progress(dones, len(cases), "scene"):
-        if done.result is None:
-            report.fail(f"scene {done.case[1]}: {done.trouble}")
-        else:
-            results.append(done.result)
-            tqdm.write(" | ".join(str(cell) for cell in _row(done.result)))
+    done = CasePool(options.jobs, options.limit, options.resume).report(
+        run_violent,
+        cases,
+        report,
+        name=lambda case: f"scene {case[1]}",
+        describe=lambda result: " | ".join(str(cell) for cell in _row(result)),
+        kinds=(tuple[int, int], ViolentResult),
+    )
+    results = [result for _, result in done]
     columns = ["scene", "what", "gain", "flagged", "most evaluations", "of the cap", "longest s", "all s"]
     columns += ["integrators", "trouble"]
     chosen = {
@@ -236,17 +234,10 @@ def violent(options: argparse.Namespace) -> Report:
             [result for result in results if not result.gain <= MAX_FREE_ENERGY_GAIN],
         ),
     ):
-        if listed:
-            report.fail(f"scenes {description}: {', '.join(str(result.index) for result in listed)}")
+        report.require(not listed, f"scenes {description}: {', '.join(str(result.index) for result in listed)}")
     if share > MAX_FLAGGED_FRAMES:
         report.fail(f"{share:.2%} of all frames are flagged, more than {MAX_FLAGGED_FRAMES:.0%}")
     return report
-
-
-def _read(entry: dict[str, Any]) -> CaseResult[tuple[int, int], ViolentResult]:
-    seed, index = entry["case"]
-    result = entry["result"]
-    return CaseResult((seed, index), result and ViolentResult(**result), entry["seconds"], entry["trouble"])
 
 
 def _row(result: ViolentResult) -> list[Any]:
