@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import time
+import statistics
 
 import attrs
 
 from benchmarks.batch import cloths as batch_cloths
-from benchmarks.timing import time_interleaved
+from benchmarks.timing import run_interleaved, time_interleaved
 from validation.report import Report
 
 #: Smallest total of simulated seconds per wall second, on two cores.
@@ -65,17 +65,11 @@ def _throughput(options: argparse.Namespace, report: Report) -> None:
     )
     with batch_cloths.CarriedCloths(options.envs, options.resolution) as carried:
         evaluations = carried.evaluations()
-        factors, milliseconds = list[float](), list[float]()
-        end = time.perf_counter() + options.seconds
-        while len(factors) < 5 or time.perf_counter() < end:
-            wall, core = carried.timed()
-            factors.append(options.envs * carried.period / wall)
-            milliseconds.append(1e3 * core / options.envs)
-    factors.sort()
-    factor = factors[len(factors) // 2]
-    middle = sorted(milliseconds)[len(milliseconds) // 2]
-    row = [options.envs, options.resolution**2, _cores(), factor, factors[0], factors[-1], evaluations, middle]
-    table.rows.append(row)
+        times = run_interleaved({"cloths": carried.timed}, seconds=options.seconds)["cloths"]
+    factors = [options.envs * carried.period / wall for wall, _ in times]
+    factor, milliseconds = statistics.median(factors), statistics.median(1e3 * core / options.envs for _, core in times)
+    speeds = [factor, min(factors), max(factors)]
+    table.rows.append([options.envs, options.resolution**2, _cores(), *speeds, evaluations, milliseconds])
     report.require(factor >= MIN_THROUGHPUT, f"{factor:.3g} x real time; target {MIN_THROUGHPUT:g} on two cores")
     report.note("core ms a frame: processor time of all threads, gymnasium's part included")
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -21,14 +20,11 @@ from benchmarks.contact import self_contact as contact_self
 from benchmarks.contact.layers import layers
 from benchmarks.contact.pinch import pinch
 from benchmarks.contact.recovery import starts
-from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table, print_progress
 
-_CONTACT_PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "pinch", "layers", "starts", "cost")
-PARTS = (*_CONTACT_PARTS, "folds", "hanging", "separated")
 G = 9.81
 #: Offsets from the friction angle at which a sheet must stick or slip, and at which its acceleration is measured [deg].
 STICTION_MARGIN, SLIDING_MARGIN = 0.1, 5.0
@@ -38,7 +34,7 @@ SLIPPED = 1e-3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to measure (all)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="what to measure (all)")
     drift_help = "that a sheet lies on a slope, and hangs (600)"
     parser.add_argument("--drift", type=float, default=600.0, metavar="SECONDS", help=drift_help)
     parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run (6.5)")
@@ -50,7 +46,7 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Contact", "python -m benchmarks contact")
     for part in options.parts:
         print_progress(f"{part} ...")
-        _MEASURES[part](report, options)
+        PARTS[part](report, options)
     return report
 
 
@@ -234,36 +230,19 @@ def cost(report: Report, options: argparse.Namespace) -> None:
         for name, friction in (("on a table", 0.0), ("on a table with friction", 0.5)):
             on = Motion({**lying, "it.friction": [friction, friction]})
             free = Motion({**common, "gravity": [0.0, 0.0, 0.0]})
-            ratio = _cost_ratio(on, free, options.seconds)
+            ratio = contact_self.frame_cost_ratio(on, free, settling_frames=60, seconds=options.seconds)
             table.rows.append([name, f"{count} x {count}", "floating", ratio, 1.3])
             report.require(ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
         hung = {**common, "cloth.anchors": ["top"], "cloth.orientation": contact_self.EDGE_ON}
         ball = {"obstacles": ["it"], "it.shape": "sphere", "it.size": [0.2], "it.position": [3.0, 0.0, 0.0]}
-        ratio = _cost_ratio(Motion({**hung, **ball}), Motion(hung), options.seconds)
+        near_ball, alone = Motion({**hung, **ball}), Motion(hung)
+        ratio = contact_self.frame_cost_ratio(near_ball, alone, settling_frames=60, seconds=options.seconds)
         table.rows.append(["a ball out of reach", f"{count} x {count}", "none", ratio, 1.02])
         report.require(ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
 
 
-def _cost_ratio(candidate_motion: Motion, baseline: Motion, seconds: float) -> float:
-    """Return the ratio of the frame times after both motions have settled."""
-    for motion in (candidate_motion, baseline):
-        for _ in range(60):
-            motion.advance()
-
-    def turn(motion: Motion) -> Callable[[], None]:
-        def frames() -> None:
-            # Enough frames for one error estimate.
-            for _ in range(80):
-                motion.advance()
-
-        return frames
-
-    motions = {"one": turn(candidate_motion), "other": turn(baseline)}
-    turns = time_interleaved(motions, seconds=seconds, clock=time.process_time)
-    return turns.ratio("one", "other")
-
-
-_MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
+#: Function of each part.
+PARTS: dict[str, Callable[[Report, argparse.Namespace], None]] = {
     "slopes": slopes,
     "drift": drift,
     "weight": weight,

@@ -9,13 +9,14 @@ import itertools
 import math
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import attrs
 import numpy as np
 from support.obstacle_sheets import FRAME, SHEET, Motion
 
-from benchmarks.timing import time_interleaved
+from benchmarks.timing import repeated, time_interleaved
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
@@ -161,22 +162,20 @@ def hanging(report: Report, options: argparse.Namespace) -> None:
             "air.drag": 0.5,
             "tolerance": 1e-3,
         }
-        motions = {name: Motion({**values, "contact.self": name == "with"}) for name in ("with", "without")}
-        for motion in motions.values():
-            for _ in range(120):
-                motion.advance()
-
-        def turn(motion: Motion) -> None:
-            # Enough frames for one error estimate.
-            for _ in range(80):
-                motion.advance()
-
-        candidates = {name: (lambda motion=motion: turn(motion)) for name, motion in motions.items()}
-        turns = time_interleaved(candidates, seconds=options.seconds, clock=time.process_time)
-        ratio = turns.ratio("with", "without")
+        motions = [Motion({**values, "contact.self": has_self_contact}) for has_self_contact in (True, False)]
+        ratio = frame_cost_ratio(*motions, settling_frames=120, seconds=options.seconds)
         table.rows.append([f"{count} x {count}", ratio, 1.1])
         if not ratio <= 1.1:
             report.fail(f"a sheet of {count} x {count} that hangs costs {ratio:.3g} times with contact.self")
+
+
+def frame_cost_ratio(candidate: Motion, baseline: Motion, *, settling_frames: int, seconds: float) -> float:
+    """Return the ratio of the frame times after both motions have settled."""
+    for motion in (candidate, baseline):
+        repeated(motion.advance, settling_frames)()
+    # A turn has enough frames for one error estimate.
+    turns = {name: repeated(motion.advance, 80) for name, motion in (("one", candidate), ("other", baseline))}
+    return time_interleaved(turns, seconds=seconds, clock=time.process_time).ratio("one", "other")
 
 
 def _carried(scene: Scene) -> None:
@@ -218,10 +217,7 @@ def separated(report: Report, options: argparse.Namespace) -> None:
         ("falls on a table from 3 d", _above_table, {"cloth.anchors": [], **on_table}),
     ):
         scenes = {on: Scene.from_parameters({**values, "contact.self": on}) for on in (True, False)}
-        candidates = {
-            setting: (lambda scene=scenes[on], motion=motion: motion(scene))
-            for setting, on in (("with", True), ("without", False))
-        }
+        candidates = {setting: partial(motion, scenes[on]) for setting, on in (("with", True), ("without", False))}
         turns = time_interleaved(candidates, seconds=options.seconds, clock=time.process_time)
         ratio = turns.ratio("with", "without")
         table.rows.append([name, ratio, MAX_SEPARATED_RATIO])

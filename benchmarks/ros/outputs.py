@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import statistics
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ from typing import Any
 from rclpy.node import Node
 
 from benchmarks.ros.node_process import PATIENCE, listener_process, ros_context
+from benchmarks.timing import InterleavedTimes
 from cloth_sim_ros.ros.io.outputs import ClothTopics
 from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
@@ -102,7 +102,7 @@ def candidates(resolution: int) -> Iterator[dict[str, Candidate]]:
         yield cloths
 
 
-def measure(resolution: int, frames: int) -> dict[str, list[float]]:
+def measure(resolution: int, frames: int) -> InterleavedTimes:
     """Return the frame times [s] of the four cloths, in turns.
 
     Raises:
@@ -120,7 +120,7 @@ def measure(resolution: int, frames: int) -> dict[str, list[float]]:
             expected = 0 if name == "nobody" else frames + _FIRST
             if candidate.published != expected:
                 raise RuntimeError(f"with {name} there, {candidate.published} clouds were built instead of {expected}")
-    return times
+    return InterleavedTimes(times)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -135,13 +135,9 @@ def figures(options: argparse.Namespace) -> dict[str, Any]:
         raise ValueError(f"--frames is {options.frames}; at least 1 is needed")
     with ros_context():
         times = measure(options.resolution, options.frames)
-    alone = times["nobody"]
     presences = {
-        name: {
-            "median_ms": round(1e3 * statistics.median(frame_times), 4),
-            "to_nobody": round(statistics.median(a / b for a, b in zip(frame_times, alone, strict=True)), 4),
-        }
-        for name, frame_times in times.items()
+        name: {"median_ms": round(1e3 * times.median(name), 4), "to_nobody": round(times.ratio(name, "nobody"), 4)}
+        for name in PRESENCES
     }
     met = presences["both"]["to_nobody"] <= 1.0 + GOAL
     return {"particles": options.resolution**2, "presences": presences, "goal": 1.0 + GOAL, "met": met}

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import statistics
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -16,7 +15,7 @@ from support.frame_counts import MARKERS, bytes_of_a_frame, calls_of_a_frame, mo
 
 from benchmarks.speed.curtain import cores
 from benchmarks.speed.hand_written_loop import HandWrittenLoop
-from benchmarks.timing import time_interleaved
+from benchmarks.timing import InterleavedTimes, repeated, time_interleaved
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report
@@ -68,13 +67,12 @@ def _hand(options: argparse.Namespace, report: Report) -> None:
             makers[f"{name}, steps"] = partial(_by_hand, scene, bare=True)
         times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
         for name in scenes:
-            simulated, hand = times[name], times[f"{name}, by hand"]
-            again, steps = times[f"{name}, again"], times[f"{name}, steps"]
-            ratio = 0.5 * (_ratio(simulated, hand) + _ratio(simulated, again))
-            milliseconds = 1e3 * statistics.median(simulated)
+            hand, again = f"{name}, by hand", f"{name}, again"
+            ratio = 0.5 * (times.ratio(name, hand) + times.ratio(name, again))
+            milliseconds = 1e3 * times.median(name)
             more = 1e3 * milliseconds * (1.0 - 1.0 / ratio)
-            row = [resolution, name, milliseconds, ratio, _ratio(again, hand), _ratio(simulated, steps), more]
-            table.rows.append(row)
+            ratios = [ratio, times.ratio(again, hand), times.ratio(name, f"{name}, steps")]
+            table.rows.append([resolution, name, milliseconds, *ratios, more])
             if ratio > MAX_HAND_WRITTEN_RATIO:
                 report.fail(f"N = {resolution}, {name}: {ratio:.3f} times the loop by hand")
 
@@ -98,35 +96,21 @@ _FRAMES_A_TURN = 3
 
 def _frame_times(
     makers: Mapping[str, Callable[[], Callable[[], Any]]], *, copies: int, seconds: float
-) -> dict[str, list[float]]:
-    """Return the frame time of each candidate by round [s], on one core, as the fastest of several copies.
+) -> InterleavedTimes:
+    """Return the frame time of each candidate, on one core, as the fastest of several copies in each round.
 
     Copies are needed because the memory layout slows one in seven by up to an eighth.
     """
-
-    def turn(frame: Callable[[], Any]) -> Callable[[], None]:
-        def frames() -> None:
-            for _ in range(_FRAMES_A_TURN):
-                frame()
-
-        return frames
-
     with cores(one_core=True):
         # Copies of the candidates alternate, so that none has better memory.
-        frame_turns = {(name, k): turn(make()) for k in range(copies) for name, make in makers.items()}
-        candidates = {f"{name}#{k}": frames for (name, k), frames in frame_turns.items()}
-        turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
-    return {
-        name: [
-            min(round_) / _FRAMES_A_TURN
-            for round_ in zip(*(turns.seconds[f"{name}#{k}"] for k in range(copies)), strict=True)
-        ]
-        for name in makers
-    }
-
-
-def _ratio(times: list[float], baseline: list[float]) -> float:
-    return statistics.median(a / b for a, b in zip(times, baseline, strict=True))
+        candidates = {
+            f"{name}#{k}": repeated(make(), _FRAMES_A_TURN) for k in range(copies) for name, make in makers.items()
+        }
+        turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time).seconds
+    rounds = {name: zip(*(turns[f"{name}#{k}"] for k in range(copies)), strict=True) for name in makers}
+    return InterleavedTimes(
+        {name: [min(times) / _FRAMES_A_TURN for times in by_copy] for name, by_copy in rounds.items()}
+    )
 
 
 def _features(options: argparse.Namespace, report: Report) -> None:
@@ -139,8 +123,8 @@ def _features(options: argparse.Namespace, report: Report) -> None:
         absent: dict[str, Variant] = {}
         for variant in everything:
             without = absent.setdefault(variant.feature, variant)
-            ratio = _ratio(times[variant.name], times[without.name])
-            milliseconds = 1e3 * statistics.median(times[variant.name])
+            ratio = times.ratio(variant.name, without.name)
+            milliseconds = 1e3 * times.median(variant.name)
             table.rows.append([resolution, variant.feature, variant.presence, milliseconds, ratio])
             if variant.asleep and ratio > MAX_SLEEP_RATIO:
                 report.fail(f"N = {resolution}: a frame asleep costs {ratio:.3g} of one that moves")
@@ -167,9 +151,9 @@ def _realistic(options: argparse.Namespace, report: Report) -> None:
     makers = {name: partial(_simulated, scene) for name, scene in scenes.items()}
     times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
     for name in sheets:
-        table.rows.append([name, 1e3 * statistics.median(times[name]), _ratio(times[name], times["default"])])
+        table.rows.append([name, 1e3 * times.median(name), times.ratio(name, "default")])
     for name in ("realistic, quadratic", "realistic, quadratic, in wind"):
-        ratio = _ratio(times[name], times["default"])
+        ratio = times.ratio(name, "default")
         if ratio > MAX_REALISTIC_RATIO:
             report.fail(f"the sheet '{name}' takes {ratio:.3g} times the default; target {MAX_REALISTIC_RATIO:g}")
 
