@@ -50,20 +50,17 @@ def run_command(
     module.add_arguments(command_parser)
     if hasattr(module, "figures"):
         return _print_figures(module.figures, command_parser, command_arguments)
-    output = command_parser.add_argument_group("output")
-    output.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON")
-    output.add_argument("--csv", type=Path, metavar="FOLDER", help="write each table as CSV")
-    output.add_argument("--plots", type=Path, metavar="FOLDER", help="write plots as PNG")
-    output.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as a section of documentation")
+    command_parser.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON")
     options = command_parser.parse_args(command_arguments)
     try:
-        check_outputs({"--json": options.json, "--markdown": options.markdown}, [])
+        check_outputs({"--json": options.json}, [])
         with safe_imports():
             report = module.run(options)
     except (ValueError, OutputError) as error:
         command_parser.error(str(error))
     sys.stdout.write(report.text() + "\n")
-    report.write(json_file=options.json, csv_folder=options.csv, plot_folder=options.plots, markdown=options.markdown)
+    if options.json is not None:
+        options.json.write_text(report.json_text())
     return 1 if report.failures else 0
 
 

@@ -20,7 +20,7 @@ from benchmarks.speed import curtain as speed_curtain
 from benchmarks.speed import stiff as speed_stiff
 from benchmarks.speed.kernels import kernel_time, thread_gain
 from benchmarks.speed.plans import PlanTime, bending_time, force_times, grip_time, mesh_time
-from validation.report import Plot, Report
+from validation.report import Report
 
 #: Largest ratio of a whole step to the forces of the C kernel.
 MAX_KERNEL_RATIO = 1.0
@@ -72,20 +72,15 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
         report.note("no C compiler here ($CC, cc, gcc, clang): the engine is timed without a comparison")
     columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
     table = report.add_table("Nanoseconds per spring, one core", columns)
-    lines: dict[str, list[tuple[float, float]]] = {}
     for dtype in (np.float32, np.float64):
         for resolution in options.kernels:
             row = kernel_time(resolution, dtype, compiler=compiler, seconds=options.seconds)
             known = ["-", row.step, "-"] if row.c is None else [row.c, row.step, row.ratio]
             alone = "-" if row.accelerations is None else row.accelerations
             table.rows.append([resolution, row.precision, *known, alone])
-            for name, value in (("C forces", row.c), ("whole step", row.step)):
-                if value is not None:
-                    lines.setdefault(f"{name}, {row.precision}", []).append((float(resolution), value))
             if row.ratio is not None and row.ratio > MAX_KERNEL_RATIO:
                 target = f"target {MAX_KERNEL_RATIO:g}"
                 report.fail(f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; {target}")
-    report.plots.append(Plot("Time per spring", "particles a side", "ns per spring", lines))
 
 
 def _plans(options: argparse.Namespace, report: Report) -> None:
@@ -107,7 +102,6 @@ def _plans(options: argparse.Namespace, report: Report) -> None:
 def _curtains(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "tolerance m", "cores", "x real time", "least", "most", "evaluations a frame", "error m", "at s"]
     table = report.add_table("Scene C as shipped", columns)
-    lines: dict[str, list[tuple[float, float]]] = {}
     for resolution in options.curtains:
         scene = speed_curtain.scored(curtain, resolution)
         known = speed_curtain.trusted(scene)
@@ -116,7 +110,6 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
             row = [resolution, speed.tolerance, "one" if speed.one_core else "all", speed.factor]
             row += [min(speed.factors), max(speed.factors), speed.evaluations, speed.error, scene.duration]
             table.rows.append(row)
-            lines.setdefault(f"tolerance {row[1]:g}, cores: {row[2]}", []).append((float(resolution), speed.factor))
         report.note(f"curtain N = {resolution}: the reference's own error is {known.error:.1g} m")
         best = speed_curtain.loosest_accurate(speeds)
         min_speed = MIN_CURTAIN_SPEEDS.get(resolution, 0.0)
@@ -126,7 +119,6 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
         report.note(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
         if best.factor < min_speed:
             report.fail(f"curtain N = {resolution}: {best.factor:.3g} x real time; target {min_speed:g}")
-    report.plots.append(Plot("Scene C", "particles a side", "simulated s per wall s", lines))
 
 
 def _stiff(options: argparse.Namespace, report: Report) -> None:
