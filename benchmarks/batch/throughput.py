@@ -24,7 +24,6 @@ MAX_MEMORY_RATIO = 4.0
 MAX_ROLLOUT_TIME = 1.0
 #: Largest growth of memory over the soak after warm-up [MB].
 LEAK = 8.0
-PARTS = ("throughput", "threads", "memory", "rollouts", "soak")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,10 +45,8 @@ def run(options: argparse.Namespace) -> Report:
         if getattr(options, name) < 2:
             raise ValueError(f"--{name.replace('_', '-')} is {getattr(options, name)}; it must be at least 2")
     report = Report("Many cloths", "python -m benchmarks batch")
-    parts = {"throughput": _throughput, "threads": _threads, "memory": _memory, "rollouts": _rollouts, "soak": _soak}
-    for part in PARTS:
-        if part in options.only:
-            parts[part](options, report)
+    for part in options.only:
+        PARTS[part](options, report)
     return report
 
 
@@ -132,3 +129,6 @@ def _soak(options: argparse.Namespace, report: Report) -> None:
     table.rows.append([*attrs.astuple(done), done.last - done.warm])
     if done.last - done.warm > LEAK:
         report.fail(f"memory grew by {done.last - done.warm:.1f} MB over {done.steps} steps")
+
+
+PARTS = {"throughput": _throughput, "threads": _threads, "memory": _memory, "rollouts": _rollouts, "soak": _soak}

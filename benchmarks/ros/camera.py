@@ -20,6 +20,7 @@ from benchmarks.timing import time_interleaved
 from cloth_sim_ros.camera.depth_camera import DepthCamera
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from cloth_sim_ros.ros.camera.image_messages import ImageMessage, PointsMessage, millimetres
 from cloth_sim_ros.scene.camera_section import CameraParameters
 
@@ -34,9 +35,7 @@ def waving_sheet(resolution: int) -> tuple[Array, NDArray[np.int64]]:
     is_folded = s > 0.75
     x = np.where(is_folded, 1.5 - s, s)
     z = 1.0 + 0.05 * np.sin(9.0 * s) * np.cos(7.0 * t) - np.where(is_folded, 0.03, 0.0)
-    cells = np.arange(resolution**2).reshape(resolution, resolution)
-    a, b, c, d = (part.ravel() for part in (cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]))
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+    triangles = grid_triangles(resolution, resolution, "right")
     return np.ascontiguousarray(np.stack([x.ravel(), t.ravel(), z.ravel()])), triangles
 
 

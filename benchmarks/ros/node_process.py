@@ -10,8 +10,9 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import attrs
 import rclpy
@@ -35,18 +36,22 @@ class NodeProcess:
         if self.process.poll() is not None:
             raise RuntimeError(f"the node ended with status {self.process.returncode}:\n{self._output()[-2000:]}")
 
-    def wait_for_output(self, text: str) -> None:
-        """Wait until the node has written a text.
+    def wait_until(self, condition: Callable[[], Any], what: str) -> None:
+        """Wait until a condition holds.
 
         Raises:
-            RuntimeError: if it ends before, or does not write it within `PATIENCE`.
+            RuntimeError: if the process ends before, or there is no `what` within `PATIENCE`.
         """
         end = time.monotonic() + PATIENCE
-        while text not in self._output():
+        while not condition():
             self.check_alive()
             if time.monotonic() > end:
-                raise RuntimeError(f"the node did not write '{text}' within {PATIENCE:g} s")
+                raise RuntimeError(f"no {what} came in {PATIENCE:g} s")
             time.sleep(0.02)
+
+    def wait_for_output(self, text: str) -> None:
+        """Wait until the process has written a text; raise RuntimeError as `wait_until`."""
+        self.wait_until(lambda: text in self._output(), f"output '{text}'")
 
     def processor_time(self) -> float:
         """Return the processor time of the process so far [s]."""
@@ -58,20 +63,29 @@ class NodeProcess:
         return self.log.read_text(errors="replace")
 
 
-@contextlib.contextmanager
-def node_process(arguments: Sequence[str], parameters: Sequence[str] = ()) -> Iterator[NodeProcess]:
-    """Run a node; at the end interrupt it, and kill it after a timeout.
+def node_process(
+    arguments: Sequence[str], parameters: Sequence[str] = ()
+) -> contextlib.AbstractContextManager[NodeProcess]:
+    """Run `cloth_sim` as `module_process`.
 
     Args:
         arguments: for ROS, e.g. ``-r __node:=name``.
         parameters: ``name:=value``.
     """
-    command = module_command("cloth_sim_ros.ros.main", "--ros-args", *arguments)
-    for parameter in parameters:
-        command += ["-p", parameter]
+    options = [word for parameter in parameters for word in ("-p", parameter)]
+    return module_process("cloth_sim_ros.ros.main", "--ros-args", *arguments, *options)
+
+
+@contextlib.contextmanager
+def module_process(module: str, *arguments: str) -> Iterator[NodeProcess]:
+    """Run a module of the package with a node; at the end interrupt it, and kill it after a timeout."""
     with tempfile.NamedTemporaryFile(suffix=".log") as log:
         process = subprocess.Popen(
-            command, env=child_environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
+            module_command(module, *arguments),
+            env=child_environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
         )
         try:
             yield NodeProcess(process, Path(log.name))

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
-import subprocess
 import tempfile
 import time
 import warnings
@@ -21,10 +19,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from benchmarks.ros.node_process import PATIENCE, node_process
-from cloth_sim_ros.session.child_process import child_environment, module_command
+from benchmarks.ros.node_process import module_process, node_process
 
-_POLL = 0.02
 #: Time for which the viewer records, for the size of a frame [s].
 _RECORDED = 2.0
 _CLOTH = "/world/cloth"
@@ -52,25 +48,10 @@ def measure_viewer(target: str, folder: Path) -> FirstSurface:
     out = folder / "out.rrd"
     out.unlink(missing_ok=True)
     begun = time.monotonic()
-    viewer = subprocess.Popen(
-        module_command("cloth_sim_ros.ros.viewer_main", "--node", target, "--save", str(out)),
-        env=child_environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        while not _surface_sizes(out)[0]:
-            if viewer.poll() is not None:
-                raise RuntimeError(f"the viewer ended with status {viewer.returncode}")
-            if time.monotonic() - begun > PATIENCE:
-                raise RuntimeError(f"no surface came in {PATIENCE:g} s")
-            time.sleep(_POLL)
+    with module_process("cloth_sim_ros.ros.viewer_main", "--node", target, "--save", str(out)) as viewer:
+        viewer.wait_until(lambda: _surface_sizes(out)[0], "surface")
         wall = time.monotonic() - begun
         time.sleep(_RECORDED)
-    finally:
-        viewer.send_signal(signal.SIGINT)
-        viewer.wait()
     n_frames, n_bytes, triangle_bytes = _surface_sizes(out)
     return FirstSurface(wall=wall, frame_bytes=n_bytes / n_frames, triangle_bytes=triangle_bytes)
 

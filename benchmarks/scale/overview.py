@@ -70,8 +70,7 @@ def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict
     best: dict[int, dict[str, Any]] = {}
     for _ in range(options.rounds):
         for size in options.sizes:
-            arguments = [kind, str(size), "--seconds", str(options.seconds)]
-            done = run_module("benchmarks.scale.sheet", *arguments)
+            done = run_module("benchmarks.scale.sheet", kind, str(size), str(options.seconds))
             if done.returncode:
                 last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
                 report.fail(f"{kind}, {size} a side, could not be run: {last}")

@@ -34,7 +34,6 @@ TOLERANCES = (1e-3, 1e-4)
 PLAN_GRID = 64
 #: Factor of the moduli of scene H, and its number of frames: 0.5 s.
 STIFFNESS, STIFF_FRAMES = 1000.0, 30
-PARTS = ("kernels", "plans", "curtain", "stiff", "threads")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,10 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
     report = Report("Speed", "python -m benchmarks speed")
-    parts = {"kernels": _kernels, "plans": _plans, "curtain": _curtains, "stiff": _stiff, "threads": _threads}
-    for part in PARTS:
-        if part in options.only:
-            parts[part](options, report)
+    for part in options.only:
+        PARTS[part](options, report)
     report.note(
         "medians of candidates that take turns; ratios are medians over the rounds; ns on one core by their "
         "processor time, all else by the wall clock"
@@ -159,3 +156,6 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
         "two sheets apart: gain in throughput of two independent sheets on two threads over one sheet on one thread, "
         "the limit of the machine"
     )
+
+
+PARTS = {"kernels": _kernels, "plans": _plans, "curtain": _curtains, "stiff": _stiff, "threads": _threads}
