@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import multiprocessing
@@ -170,13 +171,16 @@ class CasePool:
 
 def read_results(file: Path, kinds: tuple[Any, Any]) -> Iterator[CaseResult[Any, Any]]:
     """Yield the results of a file of `run_missing`."""
-    for line in file.read_text().splitlines():
-        try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:
-            continue
+    for entry in read_lines(file):
         case, result = (restored(kind, entry[name]) for name, kind in zip(("case", "result"), kinds, strict=True))
         yield CaseResult(case, result, entry["seconds"], entry["trouble"])
+
+
+def read_lines(file: Path) -> Iterator[Any]:
+    """Yield the values of a file with one line of JSON per value, without the truncated line of an interrupted run."""
+    for line in file.read_text().splitlines():
+        with contextlib.suppress(json.JSONDecodeError):
+            yield json.loads(line)
 
 
 def restored(kind: Any, value: Any) -> Any:

@@ -19,6 +19,7 @@ import numpy as np
 
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
+from validation.case_pool import read_lines
 from validation.reality import swing_samples as samples
 from validation.reality.linear_fits import linear_fit, linearize
 from validation.report import Report, Table, print_progress
@@ -74,16 +75,9 @@ def _processor_time() -> float:
 
 def recorded_fits(file: Path | None, n_motions: int) -> dict[int, dict[str, Any]]:
     """Return the finished fits of a file by seed."""
-    fits = {}
-    for line in file.read_text().splitlines() if file is not None and file.exists() else []:
-        try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:
-            # The last line of an interrupted command.
-            continue
-        if entry["motions"] == n_motions and entry.get("set") == samples.SET:
-            fits[entry["seed"]] = entry
-    return fits
+    entries = read_lines(file) if file is not None and file.exists() else ()
+    key = n_motions, samples.SET
+    return {entry["seed"]: entry for entry in entries if (entry["motions"], entry.get("set")) == key}
 
 
 def run(options: argparse.Namespace) -> Report:

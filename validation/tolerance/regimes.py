@@ -21,8 +21,7 @@ from cloth_sim_ros.scene.scene import Scene
 from validation.case_pool import CasePool
 from validation.report import Report, Table
 from validation.tolerance.linear_motion import exact_positions
-from validation.tolerance.random_grips import RandomGripScript
-from validation.tolerance.random_scenes import RandomScene, max_frequency
+from validation.tolerance.random_scenes import RandomScene
 from validation.tolerance.recording import RecordedRun, record_run
 from validation.tolerance.windows import Window, evaluate_window, run_reference, unit_perturbations
 
@@ -183,18 +182,8 @@ def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
         "grippers": [""],
     }
     scene = Scene.from_parameters(values, files={"springs.yaml": json.dumps(regime.tables).encode()})
-    state = scene.starting_state()
-    return RandomScene(
-        seed=0,
-        index=0,
-        scene=scene,
-        state=state,
-        script=RandomGripScript(holds=()),
-        frames=round(regime.duration * regime.rate),
-        words=regime.name,
-        cost=0.0,
-        frequency=max_frequency(scene, state.x),
-    )
+    frames = round(regime.duration * regime.rate)
+    return RandomScene(scene=scene, state=scene.starting_state(), frames=frames, words=regime.name)
 
 
 @attrs.frozen
