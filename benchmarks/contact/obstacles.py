@@ -62,8 +62,7 @@ def slopes(report: Report, options: argparse.Namespace) -> None:
                 displacement, moved = _creep_below_friction_angle(kind, count, steep - STICTION_MARGIN, mu)
                 above = slope(kind, count, steep + STICTION_MARGIN, (mu, mu))
                 start = downhill(above, steep + STICTION_MARGIN)
-                for _ in range(60):
-                    above.advance()
+                above.advance_frames(60)
                 slid = downhill(above, steep + STICTION_MARGIN) - start
                 off = _acceleration(kind, count, steep + SLIDING_MARGIN, mu)
                 table.rows.append([mu, 0.8 * mu, name, 1e6 * displacement, moved, 1e3 * slid, 100.0 * off])
@@ -77,11 +76,9 @@ def slopes(report: Report, options: argparse.Namespace) -> None:
 def _creep_below_friction_angle(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]:
     """Return the displacement [m] within 1 s after settling, and the number of anchors that changed in it."""
     motion = slope(kind, count, degrees, (mu, mu))
-    for _ in range(60):
-        motion.advance()
+    motion.advance_frames(60)
     start, start_anchors = downhill(motion, degrees), motion.state.memory[ANCHORS_KEY].copy()
-    for _ in range(60):
-        motion.advance()
+    motion.advance_frames(60)
     moved = int((motion.state.memory[ANCHORS_KEY] != start_anchors).any(axis=1).sum())
     return abs(downhill(motion, degrees) - start), moved
 
@@ -101,11 +98,9 @@ def drift(report: Report, options: argparse.Namespace) -> None:
     """Measure the drift of a sheet on a slope 0.1 degrees below the friction angle."""
     steep = math.degrees(math.atan(0.5)) - STICTION_MARGIN
     motion = slope("grid", 8, steep, (0.5, 0.5))
-    for _ in range(60):
-        motion.advance()
+    motion.advance_frames(60)
     start, start_anchors = motion.state.x.copy(), motion.state.memory[ANCHORS_KEY].copy()
-    for _ in range(round(options.drift / FRAME)):
-        motion.advance()
+    motion.advance_frames(round(options.drift / FRAME))
     displacement = float(np.abs(motion.state.x - start).max())
     slipped = int((motion.state.memory[ANCHORS_KEY] != start_anchors).sum())
     columns = ["seconds", "largest way um", "numbers of anchors that changed"]
@@ -121,8 +116,7 @@ def weight(report: Report, options: argparse.Namespace) -> None:
             values, files = sheet(kind, 12)
             values |= {"obstacles": ["it"], "tolerance": 1e-4, "it.friction": [0.8, 0.8], "air.drag": 5.0, **shape}
             motion = Motion(values, files)
-            for _ in range(480):
-                motion.advance()
+            motion.advance_frames(480)
             mass = motion.plan.model.mass
             # A remaining downward acceleration reduces the borne weight.
             up = float(motion.borne()[:, 2].sum()) + mass * G
