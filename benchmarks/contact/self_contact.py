@@ -63,7 +63,7 @@ class FoldRecord:
 
 def fold_events() -> ScriptEvents:
     """Return the commands to the grippers; each grasp acts in the frame that ends at its time."""
-    scripts = [GripperScript.from_file(CONFIG / f"fold_{side}.yaml") for side in ("left", "right")]
+    scripts = [GripperScript.from_file(CONFIG / f"fold_{name}.yaml") for name in ("left", "right")]
     early = [
         attrs.evolve(script, grasps=tuple(attrs.evolve(grasp, time=grasp.time - FRAME) for grasp in script.grasps))
         for script in scripts

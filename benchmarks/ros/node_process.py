@@ -36,17 +36,17 @@ class NodeProcess:
         if self.process.poll() is not None:
             raise RuntimeError(f"the node ended with status {self.process.returncode}:\n{self._output()[-2000:]}")
 
-    def wait_until(self, condition: Callable[[], Any], what: str) -> None:
+    def wait_until(self, condition: Callable[[], Any], awaited: str) -> None:
         """Wait until a condition holds.
 
         Raises:
-            RuntimeError: if the process ends before, or there is no `what` within `PATIENCE`.
+            RuntimeError: if the process ends before, or there is no `awaited` within `PATIENCE`.
         """
         end = time.monotonic() + PATIENCE
         while not condition():
             self.check_alive()
             if time.monotonic() > end:
-                raise RuntimeError(f"no {what} came in {PATIENCE:g} s")
+                raise RuntimeError(f"no {awaited} came in {PATIENCE:g} s")
             time.sleep(0.02)
 
     def wait_for_output(self, text: str) -> None:
