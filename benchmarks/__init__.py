@@ -6,11 +6,5 @@
 Scenes stand in `test/support`; report tables and the command line in `validation`.
 """
 
-import sys
-from pathlib import Path
-
-# Appended, so that `support` shadows no other module. Worker processes import this package first, therefore they find
-# it too.
-_TEST = str(Path(__file__).resolve().parents[1] / "test")
-if _TEST not in sys.path:
-    sys.path.append(_TEST)
+# It adds the test folder, which holds `support`, to the path of this process and of workers.
+import validation  # noqa: F401

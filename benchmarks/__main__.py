@@ -14,7 +14,7 @@ COMMANDS = {
     "speed": ("benchmarks.speed.overview", "ns per spring against C, simulated seconds per wall second, two threads"),
     "real-time": ("benchmarks.speed.real_time", "real-time factor by particles, stiffness, tolerance, integrator"),
     "cost-additivity": ("benchmarks.speed.cost_additivity", "cost of each pair of features against the sum of both"),
-    "feature-cost": ("benchmarks.speed.feature_cost", "cost of a feature absent, idle and active; counts; start-up"),
+    "feature-cost": ("benchmarks.speed.feature_cost", "cost of a feature absent, idle and active; counts"),
     "ground-truth": ("benchmarks.speed.ground_truth", "normals, keypoints, covered area and snapshots beside a cloud"),
     "scale": ("benchmarks.scale.overview", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
     "peers": ("benchmarks.peers.throughput", "other engines on the same sheet, in an environment of their own"),

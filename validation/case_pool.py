@@ -4,15 +4,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import json
 import multiprocessing
 import time
+import types
+import typing
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import attrs
+
+from validation.report import Report
 
 C = TypeVar("C")
 R = TypeVar("R")
@@ -56,88 +62,141 @@ class _Worker(Generic[C, R]):
         self.process.join()
 
 
-def run_cases(run: Callable[[C], R], cases: Sequence[C], *, workers: int, limit: float) -> Iterator[CaseResult[C, R]]:
-    """Yield the result of each case, in the order in which they end.
+@attrs.frozen
+class CasePool:
+    """Processes that run cases."""
 
-    Args:
-        run: runs one case; must be importable by name. Cases and results must be picklable.
-        cases: the cases to run.
-        workers: number of processes.
-        limit: wall time of one case [s].
-    """
-    pending = list(reversed(cases))
-    pool: list[_Worker[C, R]] = [_Worker(run) for _ in range(min(workers, len(cases)))]
-    try:
-        while pool:
-            deadlines = [worker.deadline for worker in pool if worker.deadline is not None]
-            timeout = max(0.0, min(deadlines) - time.monotonic()) if deadlines else None
-            ready: list[Any] = wait([worker.connection for worker in pool], timeout)
-            for worker in list(pool):
-                case_result: CaseResult[C, R] | None = None
-                if worker.connection in ready:
-                    case_result = _receive(worker)
-                elif worker.deadline is not None and time.monotonic() >= worker.deadline and worker.case is not None:
-                    case_result = CaseResult(worker.case, None, limit, f"took longer than {limit:g} s")
-                else:
-                    continue
-                if case_result is not None:
-                    yield case_result
-                if case_result is not None and case_result.result is None:
-                    worker.stop()
-                    pool.remove(worker)
-                    if pending:
-                        pool.append(_Worker(run))
-                elif pending:
-                    worker.assign(pending.pop(), limit)
-                else:
-                    worker.stop()
-                    pool.remove(worker)
-    finally:
-        for worker in pool:
-            worker.stop()
+    #: Number of processes, and limit of the wall time of one case [s].
+    workers: int
+    limit: float
+    #: File of finished results, one line of JSON per case; None stores nothing. A truncated last line is ignored.
+    file: Path | None = None
 
+    def run(self, run: Callable[[C], R], cases: Sequence[C]) -> Iterator[CaseResult[C, R]]:
+        """Yield the result of each case, in the order in which they end.
 
-def run_missing(
-    run: Callable[[C], R],
-    cases: Sequence[C],
-    *,
-    workers: int,
-    limit: float,
-    file: Path | None,
-    read: Callable[[dict[str, Any]], CaseResult[C, R]],
-) -> Iterator[CaseResult[C, R]]:
-    """Yield the result of each case: from a file, or else from `run_cases`, which is then appended to the file.
-
-    Args:
-        run: as for `run_cases`.
-        cases: as for `run_cases`; none twice.
-        workers: number of processes.
-        limit: wall time of one case [s].
-        file: one line of JSON per case; None stores nothing. A truncated last line is ignored.
-        read: converts a line back to a result.
-    """
-    recorded: dict[C, CaseResult[C, R]] = {}
-    for line in file.read_text().splitlines() if file is not None and file.exists() else []:
+        Args:
+            run: runs one case; must be importable by name. Cases and results must be picklable.
+            cases: the cases to run.
+        """
+        pending = list(reversed(cases))
+        pool: list[_Worker[C, R]] = [_Worker(run) for _ in range(min(self.workers, len(cases)))]
         try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        case_result = read(entry)
-        recorded[case_result.case] = case_result
-    yield from (recorded[case] for case in cases if case in recorded)
-    missing = [case for case in cases if case not in recorded]
-    for case_result in run_cases(run, missing, workers=workers, limit=limit) if missing else ():
-        if file is not None:
-            with file.open("a") as stream:
-                stream.write(json.dumps(attrs.asdict(case_result), default=_to_python) + "\n")
-        yield case_result
+            while pool:
+                deadlines = [worker.deadline for worker in pool if worker.deadline is not None]
+                timeout = max(0.0, min(deadlines) - time.monotonic()) if deadlines else None
+                ready: list[Any] = wait([worker.connection for worker in pool], timeout)
+                for worker in list(pool):
+                    case_result: CaseResult[C, R] | None = None
+                    if worker.connection in ready:
+                        case_result = _receive(worker)
+                    elif (
+                        worker.deadline is not None and time.monotonic() >= worker.deadline and worker.case is not None
+                    ):
+                        case_result = CaseResult(worker.case, None, self.limit, f"took longer than {self.limit:g} s")
+                    else:
+                        continue
+                    if case_result is not None:
+                        yield case_result
+                    if case_result is not None and case_result.result is None:
+                        worker.stop()
+                        pool.remove(worker)
+                        if pending:
+                            pool.append(_Worker(run))
+                    elif pending:
+                        worker.assign(pending.pop(), self.limit)
+                    else:
+                        worker.stop()
+                        pool.remove(worker)
+        finally:
+            for worker in pool:
+                worker.stop()
+
+    def run_missing(
+        self, run: Callable[[C], R], cases: Sequence[C], kinds: tuple[Any, Any]
+    ) -> Iterator[CaseResult[C, R]]:
+        """Yield the result of each case with a progress bar: from the file, or else from `run`, appended to the file.
+
+        Args:
+            run: as for `run`.
+            cases: as for `run`; none twice.
+            kinds: types of a case and of a result, see `restored`.
+        """
+        from tqdm import tqdm
+
+        recorded: dict[C, CaseResult[C, R]] = {}
+        missing = list(cases)
+        if self.file is not None and self.file.exists():
+            recorded = {done.case: done for done in read_results(self.file, kinds)}
+            missing = [case for case in cases if case not in recorded]
+        known = (recorded[case] for case in cases if recorded and case in recorded)
+        results = itertools.chain(known, self.run(run, missing) if missing else ())
+        for done in tqdm(results, total=len(cases), unit="case", smoothing=0.02, mininterval=1.0):
+            if self.file is not None and done.case not in recorded:
+                with self.file.open("a") as stream:
+                    stream.write(json.dumps(attrs.asdict(done), default=_to_python) + "\n")
+            yield done
+
+    def report(
+        self,
+        run: Callable[[C], R],
+        cases: Sequence[C],
+        report: Report,
+        *,
+        name: Callable[[C], str],
+        describe: Callable[[R], str],
+        kinds: tuple[Any, Any] = (None, None),
+    ) -> list[tuple[C, R]]:
+        """Return cases and results by `run_missing`; print each, and fail those without a result.
+
+        Args:
+            run: as for `run`.
+            cases: as for `run_missing`.
+            report: receives the failures.
+            name: returns the name of a case.
+            describe: returns a line about a result.
+            kinds: as for `run_missing`.
+        """
+        from tqdm import tqdm
+
+        finished: list[tuple[C, R]] = []
+        for done in self.run_missing(run, cases, kinds):
+            if done.result is None:
+                report.fail(f"{name(done.case)}: {done.trouble}")
+            else:
+                finished.append((done.case, done.result))
+            tqdm.write(f"{name(done.case)}: {done.trouble if done.result is None else describe(done.result)}")
+        return finished
 
 
-def show_progress(results: Iterator[CaseResult[C, R]], total: int, unit: str) -> Any:
-    """Yield the result of each case and draw a progress bar."""
-    from tqdm import tqdm
+def read_results(file: Path, kinds: tuple[Any, Any]) -> Iterator[CaseResult[Any, Any]]:
+    """Yield the results of a file of `run_missing`."""
+    for entry in read_lines(file):
+        case, result = (restored(kind, entry[name]) for name, kind in zip(("case", "result"), kinds, strict=True))
+        yield CaseResult(case, result, entry["seconds"], entry["trouble"])
 
-    return tqdm(results, total=total, unit=unit, smoothing=0.02, mininterval=1.0)
+
+def read_lines(file: Path) -> Iterator[Any]:
+    """Yield the values of a file with one line of JSON per value, without the truncated line of an interrupted run."""
+    for line in file.read_text().splitlines():
+        with contextlib.suppress(json.JSONDecodeError):
+            yield json.loads(line)
+
+
+def restored(kind: Any, value: Any) -> Any:
+    """Return the value of a type from its JSON: attrs classes, and tuples and options of them. Others stay."""
+    if value is None:
+        return None
+    if attrs.has(kind):
+        hints = typing.get_type_hints(kind)
+        return kind(**{name: restored(hints[name], entry) for name, entry in value.items()})
+    arguments = typing.get_args(kind)
+    if typing.get_origin(kind) is types.UnionType:
+        return restored(arguments[0], value)
+    if typing.get_origin(kind) is tuple:
+        entry_kinds = itertools.repeat(arguments[0]) if arguments[-1] is ... else arguments
+        return tuple(restored(entry_kind, entry) for entry_kind, entry in zip(entry_kinds, value, strict=False))
+    return value
 
 
 def _to_python(scalar: Any) -> Any:

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ def run_command(
         package: name of the package that is run with `python -m`.
         description: one sentence about the package.
         commands: module and one-line description of each command, by name. A module has `add_arguments(parser)` and
-            `run(options)`, which returns a `report.Report`. Or it has `main(arguments)`, which prints its own output
-            and returns the exit status.
+            `run(options)`, which returns a `report.Report`. Or it has `figures(options)` instead, which returns figures
+            by name, or a list of those. They are printed as JSON, and `met` in each decides the exit status.
         arguments: command line; None takes that of this process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -45,26 +46,33 @@ def run_command(
     if name not in commands:
         parser.parse_args(words)
     module = importlib.import_module(commands[name][0])
-    if hasattr(module, "main"):
-        status: int = module.main(command_arguments)
-        return status
     command_parser = argparse.ArgumentParser(prog=f"{parser.prog} {name}", description=commands[name][1])
     module.add_arguments(command_parser)
-    output = command_parser.add_argument_group("output")
-    output.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON")
-    output.add_argument("--csv", type=Path, metavar="FOLDER", help="write each table as CSV")
-    output.add_argument("--plots", type=Path, metavar="FOLDER", help="write plots as PNG")
-    output.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as a section of documentation")
+    if hasattr(module, "figures"):
+        return _print_figures(module.figures, command_parser, command_arguments)
+    command_parser.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON")
     options = command_parser.parse_args(command_arguments)
     try:
-        check_outputs({"--json": options.json, "--markdown": options.markdown}, [])
+        check_outputs({"--json": options.json}, [])
         with safe_imports():
             report = module.run(options)
     except (ValueError, OutputError) as error:
         command_parser.error(str(error))
     sys.stdout.write(report.text() + "\n")
-    report.write(json_file=options.json, csv_folder=options.csv, plot_folder=options.plots, markdown=options.markdown)
+    if options.json is not None:
+        options.json.write_text(report.json_text())
     return 1 if report.failures else 0
+
+
+def _print_figures(
+    figures: Callable[[argparse.Namespace], Any], parser: argparse.ArgumentParser, arguments: Sequence[str]
+) -> int:
+    try:
+        measured = figures(parser.parse_args(arguments))
+    except ValueError as error:
+        parser.error(str(error))
+    sys.stdout.write(json.dumps(measured, indent=1) + "\n")
+    return 0 if all(entry["met"] for entry in (measured if isinstance(measured, list) else [measured])) else 1
 
 
 def child_process_arguments(module: str, *arguments: str) -> dict[str, Any]:

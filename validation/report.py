@@ -1,13 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Report of a measurement: tables, plots, notes, failures and environment.
-
-It is written as text, JSON, CSV, PNG and Markdown.
-"""
+"""Report of a measurement: tables, notes, failures and environment, written as Markdown and as JSON."""
 
 from __future__ import annotations
 
-import csv
 import datetime
 import importlib.metadata
 import json
@@ -49,23 +45,12 @@ class Table:
 
 
 @attrs.define
-class Plot:
-    """Curves of points on logarithmic axes."""
-
-    name: str
-    x: str
-    y: str
-    lines: dict[str, list[tuple[float, float]]]
-
-
-@attrs.define
 class Report:
     """Results of one command."""
 
     title: str
     command: str
     tables: list[Table] = attrs.field(factory=list)
-    plots: list[Plot] = attrs.field(factory=list)
     notes: list[str] = attrs.field(factory=list)
     #: Requirements that were not met; any makes the exit status 1.
     failures: list[str] = attrs.field(factory=list)
@@ -78,6 +63,16 @@ class Report:
     def fail(self, text: str) -> None:
         """Add a requirement that was not met."""
         self.failures.append(text)
+
+    def require(self, holds: bool, failure: str) -> None:
+        """Add a requirement that was not met, unless it holds."""
+        if not holds:
+            self.fail(failure)
+
+    def add_table(self, name: str, columns: list[str]) -> Table:
+        """Add a table without rows."""
+        self.tables.append(Table(name, columns))
+        return self.tables[-1]
 
     def table(self, name: str) -> Table:
         """Return the table whose name begins so."""
@@ -97,29 +92,6 @@ class Report:
         """Return the report as JSON, a line for each row of a table; numbers that are not finite are null."""
         text = json.dumps(attrs.asdict(self, value_serializer=_finite), indent=1, default=float)
         return _INNER_LIST.sub(lambda found: f"[{_LINE_BREAK.sub(', ', found[1])}]", text) + "\n"
-
-    def write(
-        self,
-        *,
-        json_file: Path | None = None,
-        csv_folder: Path | None = None,
-        plot_folder: Path | None = None,
-        markdown: Path | None = None,
-    ) -> None:
-        """Write the report to each file or folder that is given."""
-        if json_file is not None:
-            json_file.write_text(self.json_text())
-        if csv_folder is not None:
-            csv_folder.mkdir(parents=True, exist_ok=True)
-            for table in self.tables:
-                with (csv_folder / f"{_file_name(table.name)}.csv").open("w", newline="") as file:
-                    csv.writer(file).writerows([table.columns, *table.rows])
-        if plot_folder is not None:
-            plot_folder.mkdir(parents=True, exist_ok=True)
-            for plot in self.plots:
-                _draw_plot(plot, plot_folder / f"{_file_name(plot.name)}.png")
-        if markdown is not None:
-            markdown.write_text(self.text() + "\n")
 
 
 def print_progress(text: str) -> None:
@@ -167,23 +139,3 @@ def _finite(_owner: type, _attribute: Any, value: Any) -> Any:
 
 def _format_cell(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
-def _file_name(name: str) -> str:
-    return "".join(letter if letter.isalnum() else "_" for letter in name.lower()).strip("_")
-
-
-def _draw_plot(plot: Plot, file: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    for name, points in plot.lines.items():
-        ordered = sorted(points)
-        axes.loglog([x for x, _ in ordered], [y for _, y in ordered], "o-", markersize=3, label=name)
-    axes.set(xlabel=plot.x, ylabel=plot.y, title=plot.name)
-    axes.grid(which="both", alpha=0.3)
-    axes.legend(fontsize=7)
-    figure.savefig(file, dpi=120)

@@ -55,12 +55,11 @@ def run(options: argparse.Namespace) -> Report:
     simulated = options.runs * options.seconds
     columns = ["what", "wall s", "core s", "times real time", "a core", "of plain %", "a core %"]
     columns.append("kB a simulated second")
-    table = Table("throughput", columns)
+    table = report.add_table("throughput", columns)
     _, plain, plain_work, _ = rows[0]
     for label, wall, work, size in rows:
         shares = [simulated / wall, simulated / work, 100.0 * plain / wall, 100.0 * plain_work / work]
         table.rows.append([label, wall, work, *shares, size / simulated / 1e3])
-    report.tables.append(table)
     costs = [options.tasks, 1e3 * task[0], 1e3 * task[1]]
     report.tables.append(Table("Dask", ["tasks", "wall ms a task", "core ms of scheduler and client a task"], [costs]))
     report.tables.append(_sizing(options, rows, task[1]))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -21,14 +20,11 @@ from benchmarks.contact import self_contact as contact_self
 from benchmarks.contact.layers import layers
 from benchmarks.contact.pinch import pinch
 from benchmarks.contact.recovery import starts
-from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table, print_progress
 
-_CONTACT_PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "pinch", "layers", "starts", "cost")
-PARTS = (*_CONTACT_PARTS, "folds", "hanging", "separated")
 G = 9.81
 #: Offsets from the friction angle at which a sheet must stick or slip, and at which its acceleration is measured [deg].
 STICTION_MARGIN, SLIDING_MARGIN = 0.1, 5.0
@@ -38,7 +34,7 @@ SLIPPED = 1e-3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to measure (all)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="what to measure (all)")
     drift_help = "that a sheet lies on a slope, and hangs (600)"
     parser.add_argument("--drift", type=float, default=600.0, metavar="SECONDS", help=drift_help)
     parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run (6.5)")
@@ -50,19 +46,14 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Contact", "python -m benchmarks contact")
     for part in options.parts:
         print_progress(f"{part} ...")
-        _MEASURES[part](report, options)
+        PARTS[part](report, options)
     return report
-
-
-def _require(report: Report, holds: bool, failure: str) -> None:
-    if not holds:
-        report.fail(failure)
 
 
 def slopes(report: Report, options: argparse.Namespace) -> None:
     """Measure sheets 0.1 degrees below and above the friction angle, and 5 degrees above it."""
     columns = ["mu_s", "mu_k", "sheet", "below: way um", "anchors moved", "above: way mm", "g off at +5 deg %"]
-    table = Table("Slopes", columns)
+    table = report.add_table("Slopes", columns)
     for mu in (0.1, 0.3, 0.6, 1.0):
         steep = math.degrees(math.atan(mu))
         for kind in ("grid", "mesh"):
@@ -71,27 +62,23 @@ def slopes(report: Report, options: argparse.Namespace) -> None:
                 displacement, moved = _creep_below_friction_angle(kind, count, steep - STICTION_MARGIN, mu)
                 above = slope(kind, count, steep + STICTION_MARGIN, (mu, mu))
                 start = downhill(above, steep + STICTION_MARGIN)
-                for _ in range(60):
-                    above.advance()
+                above.advance_frames(60)
                 slid = downhill(above, steep + STICTION_MARGIN) - start
                 off = _acceleration(kind, count, steep + SLIDING_MARGIN, mu)
                 table.rows.append([mu, 0.8 * mu, name, 1e6 * displacement, moved, 1e3 * slid, 100.0 * off])
                 sticks = displacement < SLIPPED and not moved
-                _require(report, sticks, f"mu {mu}, {name}: slips below the angle of friction")
-                _require(report, slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
-                _require(report, abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
-    report.tables.append(table)
+                report.require(sticks, f"mu {mu}, {name}: slips below the angle of friction")
+                report.require(slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
+                report.require(abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
     report.note("mu_k applies to the last column only; the others use mu_s for both coefficients.")
 
 
 def _creep_below_friction_angle(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]:
     """Return the displacement [m] within 1 s after settling, and the number of anchors that changed in it."""
     motion = slope(kind, count, degrees, (mu, mu))
-    for _ in range(60):
-        motion.advance()
+    motion.advance_frames(60)
     start, start_anchors = downhill(motion, degrees), motion.state.memory[ANCHORS_KEY].copy()
-    for _ in range(60):
-        motion.advance()
+    motion.advance_frames(60)
     moved = int((motion.state.memory[ANCHORS_KEY] != start_anchors).any(axis=1).sum())
     return abs(downhill(motion, degrees) - start), moved
 
@@ -111,36 +98,32 @@ def drift(report: Report, options: argparse.Namespace) -> None:
     """Measure the drift of a sheet on a slope 0.1 degrees below the friction angle."""
     steep = math.degrees(math.atan(0.5)) - STICTION_MARGIN
     motion = slope("grid", 8, steep, (0.5, 0.5))
-    for _ in range(60):
-        motion.advance()
+    motion.advance_frames(60)
     start, start_anchors = motion.state.x.copy(), motion.state.memory[ANCHORS_KEY].copy()
-    for _ in range(round(options.drift / FRAME)):
-        motion.advance()
+    motion.advance_frames(round(options.drift / FRAME))
     displacement = float(np.abs(motion.state.x - start).max())
     slipped = int((motion.state.memory[ANCHORS_KEY] != start_anchors).sum())
     columns = ["seconds", "largest way um", "numbers of anchors that changed"]
     report.tables.append(Table("Drift", columns, [[options.drift, 1e6 * displacement, slipped]]))
-    _require(report, displacement < 1e-6 and not slipped, f"a sheet that sticks drifted by {displacement:.2g} m")
+    report.require(displacement < 1e-6 and not slipped, f"a sheet that sticks drifted by {displacement:.2g} m")
 
 
 def weight(report: Report, options: argparse.Namespace) -> None:
     """Compare the force on a plane, a box and a sphere with the weight of a resting sheet."""
-    table = Table("Weight borne", ["on", "sheet", "off %", "fastest particle m/s"])
+    table = report.add_table("Weight borne", ["on", "sheet", "off %", "fastest particle m/s"])
     for name, shape in _SUPPORTS.items():
         for kind in ("grid", "mesh"):
             values, files = sheet(kind, 12)
             values |= {"obstacles": ["it"], "tolerance": 1e-4, "it.friction": [0.8, 0.8], "air.drag": 5.0, **shape}
             motion = Motion(values, files)
-            for _ in range(480):
-                motion.advance()
+            motion.advance_frames(480)
             mass = motion.plan.model.mass
             # A remaining downward acceleration reduces the borne weight.
             up = float(motion.borne()[:, 2].sum()) + mass * G
             fastest = float(np.abs(motion.state.v).max())
             off = up / (mass * G)
             table.rows.append([name, kind, 100.0 * off, fastest])
-            _require(report, abs(off) < 1e-3, f"{name}, {kind}: bears {100.0 * off:.2g} % off the weight")
-    report.tables.append(table)
+            report.require(abs(off) < 1e-3, f"{name}, {kind}: bears {100.0 * off:.2g} % off the weight")
 
 
 _FLAT: dict[str, Any] = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0]}
@@ -154,7 +137,7 @@ _SUPPORTS: dict[str, dict[str, Any]] = {
 
 def capstan(report: Report, options: argparse.Namespace) -> None:
     """Compare the tensions at the ends of a strip over a turning drum with the capstan equation."""
-    table = Table("Capstan", ["mu", "angle deg", "mu theta", "ratio", "exp(mu theta)", "off %"])
+    table = report.add_table("Capstan", ["mu", "angle deg", "mu theta", "ratio", "exp(mu theta)", "off %"])
     for mu, degrees in ((0.25, 90.0), (0.5, 90.0), (0.5, 180.0), (0.64, 180.0)):
         strip = Capstan(mu, math.radians(degrees))
         # The integrator of the product.
@@ -169,15 +152,14 @@ def capstan(report: Report, options: argparse.Namespace) -> None:
         ratio, expected = float(pulls.max() / pulls.min()), math.exp(mu * math.radians(degrees))
         off = ratio / expected - 1.0
         table.rows.append([mu, degrees, mu * math.radians(degrees), ratio, expected, 100.0 * off])
-        _require(report, abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
-    report.tables.append(table)
+        report.require(abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
     report.note("Capstan: means over 1.5 s, from 1 s on; the drum surface slides at 0.2 m/s under the strip.")
 
 
 def impacts(report: Report, options: argparse.Namespace) -> None:
     """Drop sheets flat and edge on onto a plane."""
     columns = ["speed m/s", "sheet falls", "deepest gap / thickness", "finest step us", "evaluations", "flagged"]
-    table = Table("Impacts", columns)
+    table = report.add_table("Impacts", columns)
     for speed in (1.0, 5.0, 20.0):
         for name, orientation in (("flat", [0.0, 0.0, 0.0, 1.0]), ("edge on", contact_self.EDGE_ON)):
             values, _ = sheet("grid", 12)
@@ -202,8 +184,7 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
                 finest, evaluations = min(finest, done.step), evaluations + done.evaluations
                 flagged += done.flagged
             table.rows.append([speed, name, deepest / THICKNESS, 1e6 * finest, evaluations, flagged])
-            _require(report, deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
-    report.tables.append(table)
+            report.require(deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
     report.note("Impacts: 30 frames after a start 10 mm above; a frame that reaches its work limit is flagged.")
 
 
@@ -213,7 +194,7 @@ def order(report: Report, options: argparse.Namespace) -> None:
     position = [0.04, 0.0, 0.11]
     values |= {**_SUPPORTS["sphere"], "obstacles": ["it"], "it.friction": [0.4, 0.3], "cloth.position": position}
     columns = ["tolerance m", "largest error m", "of the error bound", "evaluations"]
-    table = Table("Sliding over a ball for a third of a second", columns)
+    table = report.add_table("Sliding over a ball for a third of a second", columns)
 
     def end(tolerance: float, perturbation: float = 0.0) -> tuple[Any, int, int]:
         motion = Motion({**values, "tolerance": tolerance, "work_limit": 1e3})
@@ -229,14 +210,13 @@ def order(report: Report, options: argparse.Namespace) -> None:
         error = float(np.linalg.norm(x - best, axis=0).max())
         table.rows.append([tolerance, error, error / (tolerance * amplification), evaluations])
         is_covered = flagged > 0 or error <= tolerance * amplification
-        _require(report, is_covered, f"{tolerance:g} m: {error:.2g} m off, unflagged")
-    report.tables.append(table)
+        report.require(is_covered, f"{tolerance:g} m: {error:.2g} m off, unflagged")
     report.note(f"Sliding: a perturbation of 10 um was amplified {amplification:.3g} times.")
 
 
 def cost(report: Report, options: argparse.Namespace) -> None:
     """Compare the frame time of a sheet on a table with a free one, and of a distant obstacle with none."""
-    table = Table("Cost", ["what", "sheet", "against", "times", "at most"])
+    table = report.add_table("Cost", ["what", "sheet", "against", "times", "at most"])
     flat = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "tolerance": 1e-3}
     for count in (30, 64):
         common = {**SHEET, "cloth.size": [1.0, 1.0], "cloth.resolution": [count, count], **flat}
@@ -244,37 +224,19 @@ def cost(report: Report, options: argparse.Namespace) -> None:
         for name, friction in (("on a table", 0.0), ("on a table with friction", 0.5)):
             on = Motion({**lying, "it.friction": [friction, friction]})
             free = Motion({**common, "gravity": [0.0, 0.0, 0.0]})
-            ratio = _cost_ratio(on, free, options.seconds)
+            ratio = contact_self.frame_cost_ratio(on, free, settling_frames=60, seconds=options.seconds)
             table.rows.append([name, f"{count} x {count}", "floating", ratio, 1.3])
-            _require(report, ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
+            report.require(ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
         hung = {**common, "cloth.anchors": ["top"], "cloth.orientation": contact_self.EDGE_ON}
         ball = {"obstacles": ["it"], "it.shape": "sphere", "it.size": [0.2], "it.position": [3.0, 0.0, 0.0]}
-        ratio = _cost_ratio(Motion({**hung, **ball}), Motion(hung), options.seconds)
+        near_ball, alone = Motion({**hung, **ball}), Motion(hung)
+        ratio = contact_self.frame_cost_ratio(near_ball, alone, settling_frames=60, seconds=options.seconds)
         table.rows.append(["a ball out of reach", f"{count} x {count}", "none", ratio, 1.02])
-        _require(report, ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
-    report.tables.append(table)
+        report.require(ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
 
 
-def _cost_ratio(candidate_motion: Motion, baseline: Motion, seconds: float) -> float:
-    """Return the ratio of the frame times after both motions have settled."""
-    for motion in (candidate_motion, baseline):
-        for _ in range(60):
-            motion.advance()
-
-    def turn(motion: Motion) -> Callable[[], None]:
-        def frames() -> None:
-            # Enough frames for one error estimate.
-            for _ in range(80):
-                motion.advance()
-
-        return frames
-
-    motions = {"one": turn(candidate_motion), "other": turn(baseline)}
-    turns = time_interleaved(motions, seconds=seconds, clock=time.process_time)
-    return turns.ratio("one", "other")
-
-
-_MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
+#: Function of each part.
+PARTS: dict[str, Callable[[Report, argparse.Namespace], None]] = {
     "slopes": slopes,
     "drift": drift,
     "weight": weight,

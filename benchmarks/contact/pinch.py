@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from support import garment
 from support.obstacle_sheets import FRAME, SHEET, THICKNESS
+from support.pinch_scenes import gravity
 from support.random_meshes import shuffled_mesh
 
 from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw, drive_inertia
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.model.forces.contact import Contact
-from cloth_sim_ros.physics.model.forces.drag import Drag
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY
@@ -69,8 +68,7 @@ class PinchedSheet:
         )
         self.contact = Contact([], thickness=THICKNESS, jaws=[pads])
         sheet_forces = [term for term in free.forces if term.name not in ("gravity", "drag")]
-        self._constant_forces = [*sheet_forces, self.contact]
-        self.plan = compile(Model(free.masses, self._constant_forces))
+        self.plan = compile(Model(free.masses, [*sheet_forces, self.contact]))
         self.state = State(places)
         self.state.memory[JAWS_KEY] = np.array([[1.2 * THICKNESS, 0.0]])
         self._steps, self._frames = make_integrator("auto", tolerance=1e-5), 0
@@ -80,17 +78,9 @@ class PinchedSheet:
         self.contact.set_jaw_commands(np.array([[True, True]]))
         # Gravity ramps up within half a second, with strong drag, so that the sheet does not fall into the pads.
         for k in range(SETTLING_FRAMES):
-            self._set_uniform_forces(G * min(1.0, max(0.0, (k - 10) / 30)), 5.0)
+            gravity(self.plan, G * min(1.0, max(0.0, (k - 10) / 30)), drag=5.0)
             self.advance()
-        self._set_uniform_forces(G, 0.2)
-
-    def raise_drag(self) -> None:
-        """Raise the drag, which damps the swing."""
-        self._set_uniform_forces(G, 5.0)
-
-    def _set_uniform_forces(self, gravity: float, drag: float) -> None:
-        uniform = [*([Gravity((0.0, 0.0, -gravity))] if gravity else []), Drag(drag)]
-        self.plan.change_uniform([*self._constant_forces, *uniform], uniform)
+        gravity(self.plan, G)
 
     def move(self, position: Any, speed: Any, acceleration: Any) -> None:
         """Set position [m], speed [m/s] and acceleration [m/s^2] of both pads, each (3,), for the next frame."""
@@ -132,7 +122,7 @@ def pinch(report: Report, options: argparse.Namespace) -> None:
 
 def _measure_holding_force(report: Report) -> None:
     columns = ["mu", "sheet", "at 0.99: way mm", "at 1.01: way mm", "anchors that moved"]
-    table = Table("A pinch: force over m g / (2 mu) at which a sheet slides and is held", columns)
+    table = report.add_table("A pinch: force over m g / (2 mu) at which a sheet slides and is held", columns)
     for mu in (0.2, 0.5, 1.0):
         for kind, count in (("grid", 4), ("grid", 8), ("mesh", 6)):
             displacements, moved = [], 0
@@ -148,7 +138,6 @@ def _measure_holding_force(report: Report) -> None:
                 report.fail(
                     f"mu {mu}, {name}: it slides {1e3 * displacements[0]:.3g} mm, is held to {displacements[1]:.2g} m"
                 )
-    report.tables.append(table)
 
 
 def _measure_creep(report: Report, seconds: float) -> None:
@@ -166,7 +155,7 @@ def _measure_creep(report: Report, seconds: float) -> None:
 
 def _measure_carrying(report: Report) -> None:
     columns = ["along", "force over m g / (2 mu)", "sheet", "largest excursion in spacings", "left at rest um"]
-    table = Table("Carried by a pinch at 1 m/s and 2 m/s^2", [*columns, "anchors that slipped"])
+    table = report.add_table("Carried by a pinch at 1 m/s and 2 m/s^2", [*columns, "anchors that slipped"])
     for direction, axis, share in (("sideways, in its plane", 0, 4.0), ("across", 1, 2.0), ("up", 2, 2.0)):
         for kind, count in (("grid", 4), ("grid", 8)):
             excursion, residual, moved = _carry(PinchedSheet(kind, count, 0.5, share), axis)
@@ -175,7 +164,6 @@ def _measure_carrying(report: Report) -> None:
                 report.fail(
                     f"carried {direction}, {kind} {count}: gives by {excursion:.2g} spacings, {residual:.2g} m left"
                 )
-    report.tables.append(table)
     report.note(
         "a sheet that is carried sideways in its own plane turns about the pads and loads their ends alone: that takes "
         "more than twice the force that bears its weight"
@@ -200,7 +188,7 @@ def _carry(pinched: PinchedSheet, axis: int) -> tuple[float, float, int]:
         excursion = np.abs(pinched.state.x[:, pinched.between] - position * along[:, None] - start).max()
         max_excursion = max(max_excursion, float(excursion))
     # Without the higher drag the swing decays within minutes.
-    pinched.raise_drag()
+    gravity(pinched.plan, G, drag=5.0)
     pinched.advance(240)
     excursion = np.abs(pinched.state.x[:, pinched.between] - position * along[:, None] - start).max()
     return max_excursion / pinched.spacing, float(excursion), int((pinched.anchors != start_anchors).any(axis=1).sum())

@@ -258,10 +258,8 @@ def check_product(result: ContactResult, report: Report) -> None:
     """Report guarantees that the product violates."""
     if result.inside > 0.0:
         report.fail(f"{result.scene}: a particle of the product is {1e3 * result.inside:.3g} mm inside an obstacle")
-    if result.crossed:
-        report.fail(f"{result.scene}: the product intersects itself in {result.crossed} frames")
-    if result.outcome.startswith("dropped"):
-        report.fail(f"{result.scene}: the product is {result.outcome}")
+    report.require(not result.crossed, f"{result.scene}: the product intersects itself in {result.crossed} frames")
+    report.require(not result.outcome.startswith("dropped"), f"{result.scene}: the product is {result.outcome}")
     if result.scene == "pinch" and abs(result.creep) >= MAX_PINCH_CREEP:
         excess = f"creeps by {1e6 * result.creep:.3g} um/s; at most {1e6 * MAX_PINCH_CREEP:g}"
         report.fail(f"{result.scene}: the product {excess}")

@@ -22,6 +22,7 @@ from benchmarks.peers import environment as peer_environment
 from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 
 #: Time for start, compilation and set-up, on top of the time limit of the frames [s].
 _START_TIMEOUT = 600.0
@@ -101,7 +102,6 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
     sheet = model.force(SHEET)
     assert isinstance(sheet, GridSprings)
     n_per_side = math.isqrt(model.particle_count)
-    index = np.arange(n_per_side * n_per_side).reshape(n_per_side, n_per_side)
     gravity, drag = np.zeros(3), 0.0
     for force in model.forces:
         if isinstance(force, Gravity):
@@ -124,7 +124,8 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
         "damping": springs.damping,
         "edges": edges,
         "edge_lengths": np.linalg.norm(np.subtract(*state.positions[edges.T]), axis=1),
-        "triangles": _checkerboard(index),
+        # Anticlockwise from above.
+        "triangles": grid_triangles(n_per_side, n_per_side, "alternating")[:, ::-1],
     }
 
 
@@ -133,15 +134,6 @@ def thread_edges(rows: int, columns: int) -> NDArray[np.int64]:
     index = np.arange(rows * columns).reshape(rows, columns)
     ends = ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:]))
     return np.concatenate([np.stack([first.ravel(), second.ravel()], axis=1) for first, second in ends])
-
-
-def _checkerboard(index: np.ndarray) -> np.ndarray:
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]))
-    rows, columns = np.indices((len(index) - 1, len(index) - 1)).reshape(2, -1)
-    odd = (rows + columns) % 2 == 1
-    first = np.where(odd[:, None], np.stack([a, c, b], axis=1), np.stack([a, c, d], axis=1))
-    second = np.where(odd[:, None], np.stack([b, c, d], axis=1), np.stack([a, d, b], axis=1))
-    return np.concatenate([first, second])
 
 
 def attempt(

@@ -19,7 +19,7 @@ from benchmarks.peers import jobs as peer_jobs
 from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
 from benchmarks.peers.solvers import PEERS, REQUIREMENTS
 from benchmarks.speed import curtain as speed_curtain
-from validation.report import Plot, Report, Table, print_progress
+from validation.report import Report, Table, print_progress
 
 #: Smallest speed ratio of the product to the fastest peer, and the N of scene C for which it applies.
 MIN_PEER_RATIO, RATED_RESOLUTIONS = 15.0, (64, 128)
@@ -99,7 +99,6 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Peers", f"python -m benchmarks peers --scene {options.scene} --stretch {options.stretch:g}")
     report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
     report.tables += [_throughput(fields), _comparison(fields), _details(fields)]
-    report.plots.append(_plot(fields))
     _explain(options, peers, fields, report)
     if options.scene == "curtain":
         _check_targets(fields, report)
@@ -142,8 +141,8 @@ def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: l
         for round_index in range(options.repeats):
             print_progress(f"N = {resolution}: round {round_index + 1} of {options.repeats}")
             for one_core, entry in ((False, field.product), (True, field.one_core)):
-                with speed_curtain.cores(one_core=one_core):
-                    entry.factors.append(whole.duration / speed_curtain.run(whole, tolerance=field.tolerance).seconds)
+                run = speed_curtain.run(whole, tolerance=field.tolerance, one_core=one_core)
+                entry.factors.append(whole.duration / run.seconds)
             for peer, entry in longest.items():
                 repeat = attempt(peer, entry.attempts[0].steps, _ROUND)
                 entry.attempts.append(repeat)
@@ -218,14 +217,6 @@ def _details(fields: list[SheetComparison]) -> Table:
             row = [field.resolution, entry.name, attempt.steps, PERIOD / attempt.steps, stretch, attempt.simulated]
             table.rows.append([*row, milliseconds, entry.factor])
     return table
-
-
-def _plot(fields: list[SheetComparison]) -> Plot:
-    lines: dict[str, list[tuple[float, float]]] = {}
-    for field in fields:
-        for entry in (field.product, field.one_core, *field.peers):
-            lines.setdefault(entry.name, []).append((float(field.resolution), entry.factor))
-    return Plot("Peers", "particles a side", "simulated s per wall s", lines)
 
 
 def _explain(options: argparse.Namespace, peers: list[Peer], fields: list[SheetComparison], report: Report) -> None:

@@ -9,10 +9,8 @@ and one body of each other shape before it. The clock is the thread's processor 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
-from collections.abc import Sequence
+from typing import Any
 
 import attrs
 import numpy as np
@@ -22,6 +20,7 @@ from benchmarks.timing import time_interleaved
 from cloth_sim_ros.camera.depth_camera import DepthCamera
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from cloth_sim_ros.ros.camera.image_messages import ImageMessage, PointsMessage, millimetres
 from cloth_sim_ros.scene.camera_section import CameraParameters
 
@@ -36,9 +35,7 @@ def waving_sheet(resolution: int) -> tuple[Array, NDArray[np.int64]]:
     is_folded = s > 0.75
     x = np.where(is_folded, 1.5 - s, s)
     z = 1.0 + 0.05 * np.sin(9.0 * s) * np.cos(7.0 * t) - np.where(is_folded, 0.03, 0.0)
-    cells = np.arange(resolution**2).reshape(resolution, resolution)
-    a, b, c, d = (part.ravel() for part in (cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]))
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+    triangles = grid_triangles(resolution, resolution, "right")
     return np.ascontiguousarray(np.stack([x.ravel(), t.ravel(), z.ravel()])), triangles
 
 
@@ -55,20 +52,18 @@ def bodies() -> list[tuple[Obstacle, Array, int]]:
     return [(body, np.array(pose), index + 2) for index, (body, pose) in enumerate(listed)]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the times as JSON.
-
-    Returns:
-        Exit status: 1 if an image takes more than `GOAL`, else 0.
-    """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-camera", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("--resolution", type=int, default=72, help="particles a side (default: 72, 10,082 triangles)")
     parser.add_argument("--width", type=int, default=640, help="columns of the image (default: 640)")
     parser.add_argument("--height", type=int, default=480, help="rows of the image (default: 480)")
     parser.add_argument("--seconds", type=float, default=10.0, help="wall time of the measurement (default: 10)")
-    options = parser.parse_args(arguments)
+
+
+def figures(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the times; they are met if an image takes at most `GOAL`."""
     if options.resolution < 2:
-        parser.error(f"--resolution is {options.resolution}; at least 2 is needed")
+        raise ValueError(f"--resolution is {options.resolution}; at least 2 is needed")
     x, triangles = waving_sheet(options.resolution)
     parameters = CameraParameters(width=options.width, height=options.height, fov=1.2)
     noise = attrs.evolve(parameters, disparity_noise=0.1, disparity_step=0.0625)
@@ -80,12 +75,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cloud = PointsMessage(**size)
     times = time_interleaved(
         {
-            "image": lambda: _discard(plain.view(_POSE, x, scene)),
-            "image_with_noise": lambda: _discard(noisy.view(_POSE, x, scene)),
-            "message_32FC1": lambda: _discard(metres.serialized(depths, 0)),
-            "message_16UC1": lambda: _discard(short.serialized(millimetres(depths), 0)),
-            "message_labels": lambda: _discard(short.serialized(labels, 0)),
-            "message_points": lambda: _discard(cloud.serialized(plain.points(depths), 0)),
+            "image": lambda: plain.view(_POSE, x, scene),
+            "image_with_noise": lambda: noisy.view(_POSE, x, scene),
+            "message_32FC1": lambda: metres.serialized(depths, 0),
+            "message_16UC1": lambda: short.serialized(millimetres(depths), 0),
+            "message_labels": lambda: short.serialized(labels, 0),
+            "message_points": lambda: cloud.serialized(plain.points(depths), 0),
         },
         seconds=options.seconds,
         clock=time.thread_time,
@@ -93,14 +88,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
     medians = {f"{name}_ms": round(1e3 * times.median(name), 3) for name in times.seconds}
     met = medians["image_ms"] <= GOAL
     covered = round(float((labels == 1).mean()), 3)
-    answer = {"triangles": len(triangles), **medians, "cloth_share": covered, "goal_ms": GOAL, "met": met}
-    sys.stdout.write(json.dumps(answer, indent=1) + "\n")
-    return 0 if met else 1
-
-
-def _discard(_: object) -> None:
-    """Take a result that is not used."""
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return {"triangles": len(triangles), **medians, "cloth_share": covered, "goal_ms": GOAL, "met": met}

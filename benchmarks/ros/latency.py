@@ -13,13 +13,10 @@ uniform between zero and a frame, plus the time to compute and send a frame.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import gc
-import json
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +25,8 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-from benchmarks.ros.gripper_probe import CORNER, PATIENCE, GripperProbe
-from benchmarks.ros.node_process import node_process, ros_context
+from benchmarks.ros.node_process import NodeProcess, node_process, ros_context
+from benchmarks.ros.probe import CORNER, GripperProbe, stamp_ns
 
 #: Radius [m] and speed [m/s] of the corner's circle.
 _RADIUS, _SPEED = 0.1, 0.2
@@ -67,8 +64,9 @@ class Latencies:
             "median_ms": median,
             "p99_ms": high,
             "max_ms": highest,
-            "goal": "median below a frame and 2 ms, p99 below two frames: " + ("met" if self.met else "not met"),
             **{name: self.diagnostics.get(name, "") for name in diagnostic_keys},
+            "goal": "median below a frame and 2 ms, p99 below two frames",
+            "met": self.met,
         }
 
 
@@ -77,11 +75,11 @@ class LatencyProbe(GripperProbe):
 
     Args:
         stream: targets per second, at random times.
-        alive: raises RuntimeError if the node has ended.
+        measured: the node.
     """
 
-    def __init__(self, *, stream: float, alive: Callable[[], None]) -> None:
-        super().__init__("latency_probe", alive)
+    def __init__(self, *, stream: float, measured: NodeProcess) -> None:
+        super().__init__("latency_probe", measured)
         self._between = 1.0 / stream
         self._random = np.random.default_rng(1)
         self._begun: float | None = None
@@ -99,12 +97,8 @@ class LatencyProbe(GripperProbe):
         """
         self.spin_until(self._close.service_is_ready)
         self.spin_until(self._targets.get_subscription_count)
-        seen = len(self.arrived)
-        self.spin_until(lambda: len(self.arrived) > seen + 10)
-        answer = self._close.call_async(SetBool.Request(data=True))
-        self.spin_until(answer.done)
-        if not answer.result().success:
-            raise RuntimeError(f"the gripper holds nothing: {answer.result().message}")
+        self._wait_for_clouds()
+        self.request(self._close, SetBool.Request(data=True))
 
     def lead(self, seconds: float) -> None:
         """Lead the corner for some time [s], and until the last targets show."""
@@ -114,6 +108,10 @@ class LatencyProbe(GripperProbe):
         self._begun = time.monotonic()
         end = self._begun + _WARM_UP_TIME + seconds
         self.spin_until(lambda: time.monotonic() >= end, limit=2.0 * (_WARM_UP_TIME + seconds))
+        self._wait_for_clouds()
+
+    def _wait_for_clouds(self) -> None:
+        """Wait for ten more clouds."""
         seen = len(self.arrived)
         self.spin_until(lambda: len(self.arrived) > seen + 10)
 
@@ -143,7 +141,7 @@ class LatencyProbe(GripperProbe):
     def on_cloud(self, cloud: PointCloud2) -> None:
         now = time.monotonic()
         self.particles = cloud.width * cloud.height
-        self.arrived[cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec] = now
+        self.arrived[stamp_ns(cloud)] = now
 
     def on_diagnostics(self, values: dict[str, str]) -> None:
         self.diagnostics = values
@@ -162,29 +160,15 @@ class LatencyProbe(GripperProbe):
         return self._between * float(self._random.uniform(0.5, 1.5))
 
 
-@contextlib.contextmanager
-def running_node(
-    *, resolution: tuple[int, int], rate: float, folder: Path, further: Sequence[str]
-) -> Iterator[Callable[[], None]]:
-    """Run a recording node in its own process; yield a check that raises RuntimeError if it has ended."""
-    parameters = [
+def recording_parameters(*, resolution: tuple[int, int], rate: float, folder: Path) -> list[str]:
+    """Return the parameters of a recording node whose grip holds only the corner, which moves with the gripper."""
+    return [
         f"cloth.resolution:=[{resolution[0]}, {resolution[1]}]",
         f"rate:={rate}",
-        # The grip holds only the corner, which moves rigidly with the gripper.
         f"gripper.radius:={0.7 / max(resolution)}",
         "record.enabled:=true",
         f"record.folder:={folder}",
-        *further,
     ]
-    log = folder / "node.log"
-    with node_process([], parameters, log=log, patience=PATIENCE) as process:
-
-        def alive() -> None:
-            if process.poll() is not None:
-                said = log.read_text(errors="replace")
-                raise RuntimeError(f"the node ended with status {process.returncode}:\n{said}")
-
-        yield alive
 
 
 def measure(
@@ -202,43 +186,27 @@ def measure(
     Raises:
         RuntimeError: if the node ends, or does not answer.
     """
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        with running_node(resolution=resolution, rate=rate, folder=folder, further=further) as alive:
-            prober = LatencyProbe(stream=stream, alive=alive)
-            try:
-                prober.hold()
-                prober.lead(seconds)
-            finally:
-                prober.close()
-        latencies = prober.latencies(folder)
-    return Latencies(particles=prober.particles, rate=rate, seconds=latencies, diagnostics=prober.diagnostics)
+    with tempfile.TemporaryDirectory() as folder:
+        parameters = recording_parameters(resolution=resolution, rate=rate, folder=Path(folder))
+        with node_process([], [*parameters, *further]) as node, LatencyProbe(stream=stream, measured=node) as probe:
+            probe.hold()
+            probe.lead(seconds)
+        latencies = probe.latencies(Path(folder))
+    return Latencies(particles=probe.particles, rate=rate, seconds=latencies, diagnostics=probe.diagnostics)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the measurement and print it; return exit status 0 if the goals are met, else 1."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-latency", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("--resolution", type=int, nargs=2, default=(64, 64), metavar=("ROWS", "COLUMNS"))
     parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
     parser.add_argument("--stream", type=float, default=100.0, help="targets a second")
     parser.add_argument("--seconds", type=float, default=20.0, help="duration of the counted targets [s]")
-    parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
-    options = parser.parse_args(arguments)
+
+
+def figures(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the percentiles of the latencies."""
+    resolution = tuple(options.resolution)
+    common = {"rate": options.rate, "stream": options.stream, "seconds": options.seconds}
     with ros_context():
-        latencies = measure(
-            resolution=tuple(options.resolution),
-            rate=options.rate,
-            stream=options.stream,
-            seconds=options.seconds,
-            further=options.parameters,
-        )
-    for name, value in latencies.summary().items():
-        print(f"{name:26} {value:.3f}" if isinstance(value, float) else f"{name:26} {value}")
-    if options.json is not None:
-        options.json.write_text(json.dumps({**latencies.summary(), "seconds": latencies.seconds.tolist()}))
-    return 0 if latencies.met else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        return measure(resolution=resolution, further=options.parameters, **common).summary()

@@ -12,11 +12,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +26,9 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
-from benchmarks.ros.gripper_probe import CORNER, PATIENCE, GripperProbe
-from benchmarks.ros.latency import running_node
-from benchmarks.ros.node_process import ros_context
+from benchmarks.ros.latency import recording_parameters
+from benchmarks.ros.node_process import PATIENCE, NodeProcess, node_process, ros_context
+from benchmarks.ros.probe import CORNER, GripperProbe, stamp_ns
 
 #: Time between two targets [s].
 _BETWEEN = 0.01
@@ -55,13 +54,13 @@ class Robot(GripperProbe):
     """Probe that manipulates the cloth like a robot and records clouds and diagnostics.
 
     Args:
-        alive: raises RuntimeError if the node has ended.
+        measured: the node.
     """
 
-    def __init__(self, alive: Callable[[], None]) -> None:
-        super().__init__("live_probe", alive)
-        self._reset = self._node.create_client(Trigger, "/cloth_sim/reset")
-        self._set = self._node.create_client(SetParameters, "/cloth_sim/set_parameters")
+    def __init__(self, measured: NodeProcess) -> None:
+        super().__init__("live_probe", measured)
+        self._reset = self.node.create_client(Trigger, "/cloth_sim/reset")
+        self._set = self.node.create_client(SetParameters, "/cloth_sim/set_parameters")
         #: Stamps and arrival times of clouds [s].
         self.stamps: list[float] = []
         self.arrivals: list[float] = []
@@ -82,7 +81,7 @@ class Robot(GripperProbe):
         """Run one cycle."""
         self._begin("carried")
         self._lead(lambda _: CORNER, 0.25)
-        self._ask(self._close, SetBool.Request(data=True))
+        self.request(self._close, SetBool.Request(data=True))
         angular_frequency = 2.0 * np.pi / cycle.carried
 
         def carried(t: float) -> np.ndarray:
@@ -100,11 +99,11 @@ class Robot(GripperProbe):
 
         self._lead(swung, cycle.swung)
         self._begin("let go")
-        self._ask(self._close, SetBool.Request(data=False))
+        self.request(self._close, SetBool.Request(data=False))
         self._lead(lambda _: CORNER, cycle.falling)
         self._begin("flat again")
         self._anchor(["top"])
-        self._ask(self._reset, Trigger.Request())
+        self.request(self._reset, Trigger.Request())
         self._lead(lambda _: CORNER, cycle.flat)
 
     def _begin(self, part: str) -> None:
@@ -119,21 +118,13 @@ class Robot(GripperProbe):
 
     def _anchor(self, names: list[str]) -> None:
         value = Parameter("cloth.anchors", Parameter.Type.STRING_ARRAY, names).to_parameter_msg()
-        (answer,) = self._ask(self._set, SetParameters.Request(parameters=[value])).results
+        (answer,) = self.request(self._set, SetParameters.Request(parameters=[value])).results
         if not answer.successful:
             raise RuntimeError(f"cloth.anchors {names} was refused: {answer.reason}")
 
-    def _ask(self, client: Any, request: Any) -> Any:
-        future = client.call_async(request)
-        self.spin_until(future.done)
-        answer = future.result()
-        if not getattr(answer, "success", True):
-            raise RuntimeError(f"{client.srv_name}: {answer.message}")
-        return answer
-
     def on_cloud(self, cloud: PointCloud2) -> None:
         self.arrivals.append(time.monotonic())
-        self.stamps.append(cloud.header.stamp.sec + 1e-9 * cloud.header.stamp.nanosec)
+        self.stamps.append(1e-9 * stamp_ns(cloud))
 
     def on_diagnostics(self, values: dict[str, str]) -> None:
         self.reports.append((time.monotonic(), values))
@@ -175,44 +166,26 @@ def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
     }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the figures as JSON.
-
-    Returns:
-        Exit status: 0 if no frame was late, else 1.
-    """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-live", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("--seconds", type=float, default=300.0, help="time in which cycles start (default: 300)")
     parser.add_argument("--pace", type=float, default=1.0, help="length of a cycle, in 20 s (default: 1)")
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
-    options = parser.parse_args(arguments)
+
+
+def figures(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the figures of some cycles; they are met if no frame was late."""
     if not (options.seconds > 0.0 and options.pace > 0.0):
-        parser.error(f"--seconds is {options.seconds:g} and --pace {options.pace:g}; both must be above 0")
+        raise ValueError(f"--seconds is {options.seconds:g} and --pace {options.pace:g}; both must be above 0")
     rate, cycles = 60.0, 0
-    with (
-        ros_context(),
-        tempfile.TemporaryDirectory() as temporary,
-        # The grip holds only the corner: 2 cm of a sheet with a spacing of 3.4 cm.
-        running_node(
-            resolution=(30, 30),
-            rate=rate,
-            folder=Path(temporary),
-            further=["gripper.radius:=0.02", *options.parameters],
-        ) as alive,
-    ):
-        robot = Robot(alive)
-        try:
+    with ros_context(), tempfile.TemporaryDirectory() as folder:
+        parameters = recording_parameters(resolution=(30, 30), rate=rate, folder=Path(folder))
+        # 2 cm of a sheet with a spacing of 3.4 cm.
+        parameters += ["gripper.radius:=0.02", *options.parameters]
+        with node_process([], parameters) as node, Robot(node) as robot:
             robot.begin()
             end = time.monotonic() + options.seconds
             while time.monotonic() < end:
                 robot.run_cycle(Cycle().scaled(options.pace))
                 cycles += 1
-        finally:
-            robot.close()
-    figures = summary(robot, rate=rate, cycles=cycles)
-    print(json.dumps(figures, indent=1))
-    return 0 if figures["met"] else 1
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    return summary(robot, rate=rate, cycles=cycles)

@@ -16,18 +16,16 @@ import argparse
 import contextlib
 import json
 import os
-import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from benchmarks.ros.node_process import node_process, processor_time, ros_context
+from benchmarks.ros.node_process import NodeProcess, node_process, ros_context
+from benchmarks.ros.probe import Probe
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -35,8 +33,6 @@ from cloth_sim_ros.simulation.simulation import Simulation
 GOAL = 0.3
 #: Without gravity a hung cloth is at rest from the start, and asleep after a second.
 AT_REST = {"gravity": [0.0, 0.0, 0.0]}
-#: Longest wait for a start or an answer [s].
-_PATIENCE = 60.0
 #: Largest number of pending requests.
 _MAX_PENDING = 8
 #: Parameter changes per minute.
@@ -44,31 +40,22 @@ RATE = 1000.0
 
 
 @contextlib.contextmanager
-def cloth(name: str, values: dict[str, Any]) -> Iterator[int]:
-    """Run a node in its own process; yield its process id once it is running.
-
-    Raises:
-        RuntimeError: if it ends before that.
-    """
+def cloth(name: str, values: dict[str, Any]) -> Iterator[NodeProcess]:
+    """Run a node in its own process; yield it once it is running."""
     parameters = [f"{key}:={json.dumps(value)}" for key, value in values.items()]
-    with node_process(["-r", f"__node:={name}"], parameters) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            if "grippers:" in line:
-                break
-        else:
-            raise RuntimeError(f"the cloth ended with status {process.wait()}")
-        yield process.pid
+    with node_process(["-r", f"__node:={name}"], parameters) as node:
+        node.wait_for_output("grippers:")
+        yield node
 
 
 def measure_idle(values: dict[str, Any], seconds: float, settle: float) -> dict[str, float]:
     """Return ms per frame of an idle node and of a bare simulation, and the share of a core."""
     scene = Scene.from_parameters(values)
-    with cloth(f"idle_{os.getpid()}", values) as pid:
+    with cloth(f"idle_{os.getpid()}", values) as node:
         time.sleep(settle)
-        before, begun = processor_time(pid), time.monotonic()
+        before, begun = node.processor_time(), time.monotonic()
         time.sleep(seconds)
-        busy, elapsed = processor_time(pid) - before, time.monotonic() - begun
+        busy, elapsed = node.processor_time() - before, time.monotonic() - begun
     alone, paced = (simulation_alone(scene, seconds, settle, paced=paced) for paced in (False, True))
     per_frame = busy / (elapsed * scene.rate)
     return {
@@ -97,20 +84,20 @@ def simulation_alone(scene: Scene, seconds: float, settle: float, *, paced: bool
     return (time.process_time() - before) / frames
 
 
-class ParameterSetter:
+class ParameterSetter(Probe):
     """Sets parameters of a node, and counts its late frames.
 
     Args:
         target: full name of the node.
+        measured: the node.
     """
 
-    def __init__(self, target: str) -> None:
-        self._node = Node(f"setter_{os.getpid()}")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
+    def __init__(self, target: str, measured: NodeProcess) -> None:
+        super().__init__(f"setter_{os.getpid()}", measured)
         self._status: dict[str, str] = {}
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
-        self._client = self._node.create_client(SetParameters, f"{target}/set_parameters")
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
+        self._client = self.node.create_client(SetParameters, f"{target}/set_parameters")
+        self._pending: list[Any] = []
         self.refused = 0
 
     def run_interval(self, seconds: float, rate: float) -> tuple[int, int]:
@@ -118,66 +105,48 @@ class ParameterSetter:
         self._next_report()
         late, sent = int(self._status["late_frames"]), 0
         begun = time.monotonic()
-        waiting: list[Any] = []
         while (elapsed := time.monotonic() - begun) < seconds:
             # A service queues ten requests; more would be lost on a busy machine.
-            while sent < elapsed * rate and len(waiting) < _MAX_PENDING:
-                waiting.append(self._client.call_async(SetParameters.Request(parameters=[_change(sent)])))
+            while sent < elapsed * rate and len(self._pending) < _MAX_PENDING:
+                request = SetParameters.Request(parameters=[_change(sent)])
+                self._pending.append(self._client.call_async(request))
                 sent += 1
-            self._executor.spin_once(timeout_sec=0.005)
-            waiting = self._count(waiting)
-        while waiting:
-            self._wait(lambda waiting=waiting: any(future.done() for future in waiting))
-            waiting = self._count(waiting)
+            self.spin_once()
+            self._count()
+        self.spin_until(lambda: not self._count())
         self._next_report()
         return sent, int(self._status["late_frames"]) - late
 
-    def _count(self, waiting: list[Any]) -> list[Any]:
-        """Count refused changes; return the pending requests."""
-        done = [future.result() for future in waiting if future.done()]
+    def _count(self) -> int:
+        """Count refused changes; return the number of pending requests."""
+        done = [future.result() for future in self._pending if future.done()]
         self.refused += sum(not result.successful for answer in done for result in answer.results)
-        return [future for future in waiting if not future.done()]
+        self._pending = [future for future in self._pending if not future.done()]
+        return len(self._pending)
 
     def wait(self) -> None:
         """Wait until the node answers."""
-        self._wait(self._client.service_is_ready)
-
-    def close(self) -> None:
-        """Destroy the requesting node."""
-        self._executor.shutdown()
-        self._node.destroy_node()
+        self.spin_until(self._client.service_is_ready)
 
     def _next_report(self) -> None:
         self._status = {}
-        self._wait(lambda: self._status)
+        self.spin_until(lambda: self._status)
 
     def _take(self, message: DiagnosticArray) -> None:
         self._status = {entry.key: entry.value for entry in message.status[0].values}
 
-    def _wait(self, condition: Any) -> None:
-        end = time.monotonic() + _PATIENCE
-        while not condition():
-            if time.monotonic() > end:
-                raise RuntimeError(f"the cloth did not answer within {_PATIENCE:g} s")
-            self._executor.spin_once(timeout_sec=0.02)
 
-
-def _change(index: int) -> Parameter:
+def _change(index: int) -> Any:
     """Return the change of an index: small changes of each kind in turn."""
-    kind, size = index % 4, 0.01 * (index % 7)
-    if kind == 0:
-        return _parameter("gravity", [0.0, 0.0, -9.81 + size])
-    if kind == 1:
-        return _parameter("wind.velocity", [0.1 + size, 0.0, 0.0])
-    return _parameter("air.drag", 0.2 + size) if kind == 2 else _parameter("material.damping", 0.1 + 0.1 * size)
-
-
-def _parameter(name: str, value: Any) -> Parameter:
-    if isinstance(value, list):
-        held = ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=value)
-    else:
-        held = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
-    return Parameter(name=name, value=held)
+    size = 0.01 * (index % 7)
+    changes: list[tuple[str, Any]] = [
+        ("gravity", [0.0, 0.0, -9.81 + size]),
+        ("wind.velocity", [0.1 + size, 0.0, 0.0]),
+        ("air.drag", 0.2 + size),
+        ("material.damping", 0.1 + 0.1 * size),
+    ]
+    name, value = changes[index % 4]
+    return Parameter(name, value=value).to_parameter_msg()
 
 
 def measure_sets(values: dict[str, Any], seconds: float, rounds: int) -> dict[str, Any]:
@@ -185,52 +154,39 @@ def measure_sets(values: dict[str, Any], seconds: float, rounds: int) -> dict[st
     name = f"sets_{os.getpid()}"
     late: dict[str, list[int]] = {"with": [], "without": []}
     sent = 0
-    with cloth(name, values):
-        setter = ParameterSetter(f"/{name}")
-        try:
-            setter.wait()
-            for _ in range(rounds):
-                late["without"].append(setter.run_interval(seconds, 0.0)[1])
-                count, late_count = setter.run_interval(seconds, RATE / 60.0)
-                sent += count
-                late["with"].append(late_count)
-        finally:
-            setter.close()
-    return {"set": sent, "refused": setter.refused, "seconds_each": seconds, "late_frames": late}
+    with cloth(name, values) as node, ParameterSetter(f"/{name}", node) as setter:
+        setter.wait()
+        for _ in range(rounds):
+            late["without"].append(setter.run_interval(seconds, 0.0)[1])
+            count, late_count = setter.run_interval(seconds, RATE / 60.0)
+            sent += count
+            late["with"].append(late_count)
+    counts = {"set": sent, "refused": setter.refused, "seconds_each": seconds, "late_frames": late}
+    return counts | {"met": not setter.refused}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the figures as JSON.
-
-    Returns:
-        Exit status: 1 if the node adds more than `GOAL` or a change was refused, else 0.
-    """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-node", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("what", choices=("idle", "sets"))
     parser.add_argument("--seconds", type=float, default=20.0, help="of each interval (default: %(default)s)")
     parser.add_argument("--settle", type=float, default=4.0, help="of idle: time before (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="of sets: pairs of intervals (default: %(default)s)")
     sides = "particles a side (default: 30 for idle, 64 for sets)"
     parser.add_argument("--resolution", type=int, default=0, help=sides)
-    options = parser.parse_args(arguments)
+
+
+def figures(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the figures; they are met if the node adds at most `GOAL`, or if no change was refused."""
     if options.seconds <= 0.0 or options.rounds < 1:
-        parser.error("--seconds must be above 0, --rounds at least 1")
+        raise ValueError("--seconds must be above 0, --rounds at least 1")
     resolution = options.resolution or (30 if options.what == "idle" else 64)
     values: dict[str, Any] = {"cloth.resolution": [resolution, resolution]}
-    if options.what == "idle":
-        figures: dict[str, Any] = {
-            "at rest": measure_idle(values | AT_REST, options.seconds, options.settle),
-            "swinging": measure_idle(values, options.seconds, options.settle),
-            "goal_ms": GOAL,
-        }
-        figures["met"] = all(figures[how]["added_ms_a_frame"] <= GOAL for how in ("at rest", "swinging"))
-    else:
+    if options.what == "sets":
         with ros_context():
-            figures = measure_sets(values, options.seconds, options.rounds)
-        figures["met"] = not figures["refused"]
-    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
-    return 0 if figures["met"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            return measure_sets(values, options.seconds, options.rounds)
+    motions = {
+        "at rest": measure_idle(values | AT_REST, options.seconds, options.settle),
+        "swinging": measure_idle(values, options.seconds, options.settle),
+    }
+    met = all(motion["added_ms_a_frame"] <= GOAL for motion in motions.values())
+    return {**motions, "goal_ms": GOAL, "met": met}

@@ -8,55 +8,101 @@ import contextlib
 import os
 import signal
 import subprocess
-from collections.abc import Iterator, Sequence
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
+import attrs
 import rclpy
 
 from cloth_sim_ros.session.child_process import child_environment, module_command
 from validation.command import child_process_arguments
 
+#: Longest wait for the start of a node, its end, an answer, or a cloud [s].
+PATIENCE = 120.0
 
-@contextlib.contextmanager
+
+@attrs.frozen
+class NodeProcess:
+    """A running node and the file of its output."""
+
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def check_alive(self) -> None:
+        """Raise RuntimeError if the node has ended."""
+        if self.process.poll() is not None:
+            raise RuntimeError(f"the node ended with status {self.process.returncode}:\n{self._output()[-2000:]}")
+
+    def wait_until(self, condition: Callable[[], Any], awaited: str) -> None:
+        """Wait until a condition holds.
+
+        Raises:
+            RuntimeError: if the process ends before, or there is no `awaited` within `PATIENCE`.
+        """
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            self.check_alive()
+            if time.monotonic() > end:
+                raise RuntimeError(f"no {awaited} came in {PATIENCE:g} s")
+            time.sleep(0.02)
+
+    def wait_for_output(self, text: str) -> None:
+        """Wait until the process has written a text; raise RuntimeError as `wait_until`."""
+        self.wait_until(lambda: text in self._output(), f"output '{text}'")
+
+    def processor_time(self) -> float:
+        """Return the processor time of the process so far [s]."""
+        # After the name in brackets, which may contain any character: user and system time are fields 12 and 13.
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def _output(self) -> str:
+        return self.log.read_text(errors="replace")
+
+
 def node_process(
-    arguments: Sequence[str], parameters: Sequence[str] = (), *, log: Path | None = None, patience: float = 10.0
-) -> Iterator[subprocess.Popen[str]]:
-    """Run a node; at the end interrupt it, and kill it after a timeout.
+    arguments: Sequence[str], parameters: Sequence[str] = ()
+) -> contextlib.AbstractContextManager[NodeProcess]:
+    """Run `cloth_sim` as `module_process`.
 
     Args:
         arguments: for ROS, e.g. ``-r __node:=name``.
         parameters: ``name:=value``.
-        log: file for its output. Without it standard error is a pipe and standard output is discarded.
-        patience: longest wait for its end [s].
     """
-    command = module_command("cloth_sim_ros.ros.main", "--ros-args", *arguments)
-    for parameter in parameters:
-        command += ["-p", parameter]
-    with contextlib.ExitStack() as stack:
-        stream = None if log is None else stack.enter_context(log.open("wb"))
-        process = subprocess.Popen(
-            command,
-            env=child_environment(),
-            stdin=subprocess.DEVNULL,
-            stdout=stream or subprocess.DEVNULL,
-            stderr=stream or subprocess.PIPE,
-            text=True,
-        )
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.communicate(timeout=patience)
-            process.kill()
+    options = [word for parameter in parameters for word in ("-p", parameter)]
+    return module_process("cloth_sim_ros.ros.main", "--ros-args", *arguments, *options)
 
 
 @contextlib.contextmanager
-def subscriber_process(module: str, topic: str, *arguments: str) -> Iterator[None]:
-    """Run a module of this package as subscriber of a topic, in its own process."""
+def module_process(module: str, *arguments: str) -> Iterator[NodeProcess]:
+    """Run a module of the package with a node; at the end interrupt it, and kill it after a timeout."""
+    with tempfile.NamedTemporaryFile(suffix=".log") as log:
+        process = subprocess.Popen(
+            module_command(module, *arguments),
+            env=child_environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            yield NodeProcess(process, Path(log.name))
+        finally:
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=PATIENCE)
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def listener_process(topic: str, *arguments: str) -> Iterator[None]:
+    """Run `benchmarks.ros.listener` as subscriber of a topic, in its own process."""
     # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
     process = subprocess.Popen(
-        **child_process_arguments(module, "--listen", topic, *arguments),
+        **child_process_arguments("benchmarks.ros.listener", topic, *arguments),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -77,10 +123,3 @@ def ros_context() -> Iterator[None]:
         yield
     finally:
         rclpy.try_shutdown()
-
-
-def processor_time(pid: int) -> float:
-    """Return the processor time of a process so far [s]."""
-    # After the name in brackets, which may contain any character: user and system time are fields 12 and 13.
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

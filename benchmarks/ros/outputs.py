@@ -11,21 +11,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
-import statistics
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from typing import Any
 
-import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
 
-from benchmarks.ros.node_process import ros_context, subscriber_process
+from benchmarks.ros.node_process import PATIENCE, listener_process, ros_context
+from benchmarks.timing import InterleavedTimes
 from cloth_sim_ros.ros.io.outputs import ClothTopics
 from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
@@ -35,7 +30,6 @@ from cloth_sim_ros.simulation.simulation import Simulation
 _PAUSE = 0.005
 #: Warm-up frames.
 _FIRST = 10
-_PATIENCE = 60.0
 PRESENCES = {"nobody": (False, False), "subscriber": (True, False), "recorder": (False, True), "both": (True, True)}
 #: Largest share that both together add to a frame of 16 thousand particles.
 GOAL = 0.10
@@ -59,11 +53,11 @@ class Candidate:
         self._subscriber = contextlib.ExitStack()
         topic = f"{self._node.get_fully_qualified_name()}/points"
         if subscribed:
-            self._subscriber.enter_context(subscriber_process("benchmarks.ros.outputs", topic))
-            end = time.monotonic() + _PATIENCE
+            self._subscriber.enter_context(listener_process(topic))
+            end = time.monotonic() + PATIENCE
             while not self._node.count_subscribers(topic):
                 if time.monotonic() > end:
-                    raise RuntimeError(f"nobody listens on {topic} after {_PATIENCE:g} s")
+                    raise RuntimeError(f"nobody listens on {topic} after {PATIENCE:g} s")
                 time.sleep(0.05)
         if recorded:
             self._recording.begin(self._now())
@@ -108,7 +102,7 @@ def candidates(resolution: int) -> Iterator[dict[str, Candidate]]:
         yield cloths
 
 
-def measure(resolution: int, frames: int) -> dict[str, list[float]]:
+def measure(resolution: int, frames: int) -> InterleavedTimes:
     """Return the frame times [s] of the four cloths, in turns.
 
     Raises:
@@ -126,49 +120,24 @@ def measure(resolution: int, frames: int) -> dict[str, list[float]]:
             expected = 0 if name == "nobody" else frames + _FIRST
             if candidate.published != expected:
                 raise RuntimeError(f"with {name} there, {candidate.published} clouds were built instead of {expected}")
-    return times
+    return InterleavedTimes(times)
 
 
-def listen(topic: str) -> None:
-    """Receive clouds until a signal comes."""
-    rclpy.init()
-    node = Node(f"listener_{os.getpid()}")
-    node.create_subscription(PointCloud2, topic, lambda _: None, QoSProfile(depth=10), raw=True)
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the times as JSON.
-
-    Returns:
-        Exit status: 1 if both together add more than `GOAL`, else 0.
-    """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-outputs", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("--resolution", type=int, default=128, help="particles a side (default: 128, 16 thousand)")
     parser.add_argument("--frames", type=int, default=100, help="of each (default: 100)")
-    parser.add_argument("--listen", metavar="TOPIC", help="be the subscriber of another process")
-    options = parser.parse_args(arguments)
-    if options.listen:
-        listen(options.listen)
-        return 0
+
+
+def figures(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the times; they are met if both receivers together add at most `GOAL`."""
     if options.frames < 1:
-        parser.error(f"--frames is {options.frames}; at least 1 is needed")
+        raise ValueError(f"--frames is {options.frames}; at least 1 is needed")
     with ros_context():
         times = measure(options.resolution, options.frames)
-    alone = times["nobody"]
     presences = {
-        name: {
-            "median_ms": round(1e3 * statistics.median(frame_times), 4),
-            "to_nobody": round(statistics.median(a / b for a, b in zip(frame_times, alone, strict=True)), 4),
-        }
-        for name, frame_times in times.items()
+        name: {"median_ms": round(1e3 * times.median(name), 4), "to_nobody": round(times.ratio(name, "nobody"), 4)}
+        for name in PRESENCES
     }
     met = presences["both"]["to_nobody"] <= 1.0 + GOAL
-    answer = {"particles": options.resolution**2, "presences": presences, "goal": 1.0 + GOAL, "met": met}
-    sys.stdout.write(json.dumps(answer, indent=1) + "\n")
-    return 0 if met else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return {"particles": options.resolution**2, "presences": presences, "goal": 1.0 + GOAL, "met": met}

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.recorder import Recorder, RecorderOptions
 from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
+from validation.report import Report
 
 _MEMORY = 256 << 20
 """Size of the part of the session that is loaded and written repeatedly [bytes]."""
@@ -37,24 +37,26 @@ class _Timing(NamedTuple):
     """Time of the caller to hand over a frame [s]."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print two tables: size and work for each setting; a 60 Hz timer with and without recording."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks recording", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("session", type=Path)
     parser.add_argument("--folder", type=Path, help="where to write; by default a temporary folder")
     parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
     parser.add_argument("--seconds", type=float, default=5.0, help="length of each run of the second table")
     parser.add_argument("--rounds", type=int, default=3, help="runs of each setting, in turns")
-    options = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure size and work of each setting, and a timer with and without recording."""
+    report = Report("Recording", f"python -m benchmarks recording {options.session}")
     try:
-        messages = _load(options.session)
+        frames = _frames(_load(options.session))
         with tempfile.TemporaryDirectory(dir=options.folder) as folder:
-            _measure_size(messages, Path(folder), options.rate)
-            _measure_timer(messages, Path(folder), options.rate, options.seconds, options.rounds)
+            _measure_size(report, frames, Path(folder), options.rate)
+            _measure_timer(report, frames, Path(folder), options)
     except (SessionError, OSError) as error:
-        print(f"{parser.prog}: {error}", file=sys.stderr)
-        return 2
-    return 0
+        raise ValueError(str(error)) from error
+    return report
 
 
 def _load(path: Path) -> list[Message]:
@@ -81,12 +83,11 @@ def _frames(messages: Sequence[Message]) -> list[list[Message]]:
     return [frame for frame in frames if any(message.topic.endswith("/points") for message in frame)]
 
 
-def _measure_size(messages: Sequence[Message], folder: Path, rate: float) -> None:
-    frames = _frames(messages)
+def _measure_size(report: Report, frames: Sequence[Sequence[Message]], folder: Path, rate: float) -> None:
     raw = sum(len(message.data) for frame in frames for message in frame)
-    print(f"{len(frames)} frames, {raw / len(frames) / 1e3:,.1f} kB each; an hour at {rate:g} Hz:\n")
-    print("| compression | chunk | GB an hour | ratio | ms of work a frame | of a core |")
-    print("|---|---|---|---|---|---|")
+    report.note(f"{len(frames)} frames, {raw / len(frames) / 1e3:,.1f} kB each")
+    columns = ["compression", "chunk MiB", "GB an hour", "ratio", "ms of work a frame", "of a core %"]
+    table = report.add_table(f"An hour at {rate:g} Hz", columns)
     names: tuple[Compression, ...] = ("none", "lz4", "zstd")
     for compression in names:
         for chunk in (1 << 20, 4 << 20):
@@ -102,8 +103,8 @@ def _measure_size(messages: Sequence[Message], folder: Path, rate: float) -> Non
             size = writer.bytes_written
             writer.path.unlink()
             hour = size / len(frames) * rate * 3600
-            settings = f"| {compression} | {chunk >> 20} MiB | {hour / 1e9:.1f} | {raw / size:.2f}"
-            print(f"{settings} | {work * 1e3:.2f} | {work * rate:.1%} |")
+            share = 100.0 * work * rate
+            table.rows.append([compression, chunk >> 20, hour / 1e9, raw / size, 1e3 * work, share])
 
 
 def _add(writer: SessionWriter, message: Message) -> None:
@@ -113,18 +114,20 @@ def _add(writer: SessionWriter, message: Message) -> None:
     writer.add(message.topic, message.data, log_time=log_time, publish_time=publish_time, sequence=message.sequence)
 
 
-def _measure_timer(messages: Sequence[Message], folder: Path, rate: float, seconds: float, rounds: int) -> None:
-    frames = _frames(messages)
+def _measure_timer(
+    report: Report, frames: Sequence[Sequence[Message]], folder: Path, options: argparse.Namespace
+) -> None:
+    rate, seconds = options.rate, options.seconds
     settings: tuple[Compression | None, ...] = (None, "none", "lz4", "zstd")
     timings: dict[Compression | None, _Timing] = {setting: _Timing([], []) for setting in settings}
     dropped = dict.fromkeys(settings, 0)
     # In turns, so that background load affects all settings alike.
-    for _ in range(rounds):
+    for _ in range(options.rounds):
         for setting in settings:
             recorder = None
             if setting is not None:
-                options = RecorderOptions(writer=dataclasses.replace(WriterOptions(), compression=setting))
-                recorder = Recorder(folder, snapshot=_SNAPSHOT, log_time=0, options=options)
+                recording = RecorderOptions(writer=dataclasses.replace(WriterOptions(), compression=setting))
+                recorder = Recorder(folder, snapshot=_SNAPSHOT, log_time=0, options=recording)
                 recorder.wait_until_open()
             _run_timer(frames, recorder, rate, int(seconds * rate), timings[setting])
             if recorder is not None:
@@ -132,15 +135,12 @@ def _measure_timer(messages: Sequence[Message], folder: Path, rate: float, secon
                 dropped[setting] += status.dropped
                 if status.path is not None:
                     status.path.unlink()
-    print(f"\n{rounds} x {seconds:g} s at {rate:g} Hz, microseconds:\n")
-    print("| recording | late median | late p99 | late most | handing over median | p99 | most | dropped |")
-    print("|---|---|---|---|---|---|---|---|")
+    columns = ["recording", "late median", "late p99", "late most", "handing over median", "p99", "most", "dropped"]
+    table = report.add_table(f"{options.rounds} x {seconds:g} s at {rate:g} Hz, microseconds", columns)
     for setting in settings:
         late, cost = (np.array(values) * 1e6 for values in timings[setting])
-        cells = [np.median(late), np.percentile(late, 99), late.max()]
-        cells += [np.median(cost), np.percentile(cost, 99), cost.max()]
-        row = " | ".join(f"{cell:,.0f}" for cell in cells)
-        print(f"| {setting or 'no'} | {row} | {dropped[setting]} |")
+        percentiles = [*np.percentile(late, (50, 99, 100)), *np.percentile(cost, (50, 99, 100))]
+        table.rows.append([setting or "no", *(round(value) for value in percentiles), dropped[setting]])
 
 
 def _run_timer(
@@ -161,7 +161,3 @@ def _run_timer(
                 recorder.record(message.topic, message.type_name, data, log_time=index, droppable=is_cloud)
         timing.cost.append(time.perf_counter() - handed)
         timing.late.append(began - deadline)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

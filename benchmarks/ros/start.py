@@ -11,9 +11,7 @@ in the graph to its answer to a parameter request.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import sys
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -21,16 +19,13 @@ from typing import Any
 import attrs
 import numpy as np
 from rcl_interfaces.srv import GetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 
-from benchmarks.ros.node_process import node_process, processor_time, ros_context
+from benchmarks.ros.node_process import node_process, ros_context
+from benchmarks.ros.probe import Probe
 
-#: Longest wait for a first cloud [s].
-_PATIENCE = 60.0
 #: Time after which an unanswered request is repeated [s].
 _RETRY_PERIOD = 1.0
 #: Largest start-up time with the libraries in memory [s].
@@ -59,60 +54,57 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
         RuntimeError: if it ends, or sends no cloud or answer.
     """
     namespace = f"start_{os.getpid()}_{index}"
-    node = Node("start_probe", namespace=namespace)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
     arrivals: list[float] = []
-    quality = QoSProfile(depth=10)
-    node.create_subscription(
-        PointCloud2, "cloth_sim/points", lambda _: arrivals.append(time.monotonic()), quality, raw=True
-    )
-    question = node.create_client(GetParameters, "cloth_sim/get_parameters")
     pending: list[Future] = []
-    seen = answered = None
+    #: Times at which the name was in the graph, and of the first answer [s].
+    moments: dict[str, float] = {}
     begun = next_request = time.monotonic()
-    with node_process(["-r", f"__ns:=/{namespace}", *arguments]) as process:
-        while not arrivals or answered is None:
-            executor.spin_once(timeout_sec=0.02)
-            if seen is None and ("cloth_sim", f"/{namespace}") in node.get_node_names_and_namespaces():
-                seen = time.monotonic()
+    with (
+        node_process(["-r", f"__ns:=/{namespace}", *arguments]) as process,
+        Probe("start_probe", process, namespace=namespace) as probe,
+    ):
+        node, quality = probe.node, QoSProfile(depth=10)
+        node.create_subscription(
+            PointCloud2, "cloth_sim/points", lambda _: arrivals.append(time.monotonic()), quality, raw=True
+        )
+        question = node.create_client(GetParameters, "cloth_sim/get_parameters")
+
+        def is_answered() -> bool:
+            nonlocal next_request
             now = time.monotonic()
+            if "seen" not in moments and ("cloth_sim", f"/{namespace}") in node.get_node_names_and_namespaces():
+                moments["seen"] = now
             # An answer sent before the node has discovered this client is lost, so the request is repeated.
-            if answered is None and now > next_request and question.service_is_ready():
+            if now > next_request and question.service_is_ready():
                 pending.append(question.call_async(GetParameters.Request(names=["rate"])))
                 next_request = now + _RETRY_PERIOD
-            if answered is None and any(future.done() for future in pending):
-                answered = now
-            if process.poll() is not None:
-                _, said = process.communicate()
-                raise RuntimeError(f"the cloth ended with status {process.returncode}: {said[-2000:]}")
-            if time.monotonic() - begun > _PATIENCE:
-                missing = "answer" if arrivals else "cloud"
-                raise RuntimeError(f"no {missing} came in {_PATIENCE:g} s")
-        busy = processor_time(process.pid)
-    executor.shutdown()
-    node.destroy_node()
+            if any(future.done() for future in pending):
+                moments["answered"] = now
+            return "answered" in moments
+
+        probe.spin_until(is_answered)
+        probe.spin_until(lambda: arrivals)
+        busy = process.processor_time()
     # A node that answers is in the graph, even if its name is announced after its services.
-    seen = answered if seen is None else min(seen, answered)
+    answered = moments["answered"]
+    seen = min(moments.get("seen", answered), answered)
     return Start(wall=arrivals[0] - begun, busy=busy, answers_after=answered - seen)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the times as JSON.
-
-    Returns:
-        Exit status: 1 if the median of the warm starts is above the goal, else 0.
-    """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-start", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("--starts", type=int, default=5, help="starts with the libraries in memory (default: 5)")
     parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
-    options = parser.parse_args(arguments)
+
+
+def figures(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the times; they are met if the median of the warm starts is below the goal."""
     if options.starts < 1:
-        parser.error(f"--starts is {options.starts}; at least 1 is needed")
+        raise ValueError(f"--starts is {options.starts}; at least 1 is needed")
     with ros_context():
         first, *warm = (measure_start(index, options.ros) for index in range(options.starts + 1))
     median = float(np.median([start.wall for start in warm]))
-    figures: dict[str, Any] = {
+    return {
         "first_s": round(first.wall, 3),
         "warm_s": [round(start.wall, 3) for start in warm],
         "warm_median_s": round(median, 3),
@@ -121,9 +113,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "goal_s": GOAL,
         "met": median < GOAL,
     }
-    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
-    return 0 if figures["met"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,28 +12,21 @@ therefore counted exactly.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import gc
-import json
 import os
-import struct
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
-import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
 
-from benchmarks.ros.node_process import ros_context, subscriber_process
+from benchmarks.ros.listener import LINE
+from benchmarks.ros.node_process import PATIENCE, listener_process, ros_context
 from cloth_sim_ros.ros.node import ClothNode
 
 #: A cloth with few steps per frame, and one that also falls asleep.
@@ -41,16 +34,10 @@ _MOVING = {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "ben
 _RESTING = {**_MOVING, "gravity": [0.0, 0.0, 0.0]}
 #: Uncounted wall time after the pause of frames [s].
 _FIRST = 1.0
-#: Longest wait for the subscriber, and for clouds in transit [s].
-_PATIENCE = 60.0
+#: Longest wait for clouds in transit [s].
 _UNDER_WAY = 5.0
 #: Time without a cloud after which none is in transit [s].
 _QUIET = 0.5
-#: Stamp [ns] and arrival by the monotonic clock [ns].
-_LINE = struct.Struct("<qq")
-#: Seconds and nanoseconds of the stamp in a serialized cloud, after the encapsulation header.
-_STAMP = struct.Struct("<iI")
-_STAMP_AT = 4
 
 
 @attrs.frozen(kw_only=True)
@@ -122,7 +109,7 @@ def measure(resolution: int, *, seconds: float, rate: float, moving: bool = Fals
             file.touch()
             cloth.warm_up()
             topic = f"{cloth.node.get_fully_qualified_name()}/points"
-            with subscriber_process("benchmarks.ros.stream", topic, str(file)):
+            with listener_process(topic, str(file)):
                 return _stream(cloth, executor, file, seconds=seconds, rate=rate, moving=moving)
     finally:
         cloth.close()
@@ -137,25 +124,25 @@ def _stream(
             executor.spin_once(timeout_sec=0.1)
 
     def received() -> int:
-        return file.stat().st_size // _LINE.size
+        return file.stat().st_size // LINE.size
 
     def spin_to_next(moment: float) -> None:
         """Spin until the first cloud published after a time [s], so that a stall of the machine shows as a gap."""
         spin(lambda: time.monotonic() >= moment)
-        count, end = cloth.published, time.monotonic() + _PATIENCE
+        count, end = cloth.published, time.monotonic() + PATIENCE
         spin(lambda: cloth.published > count or time.monotonic() > end)
         if cloth.published == count:
-            raise RuntimeError(f"no cloud was published in {_PATIENCE:g} s: the subscriber is gone")
+            raise RuntimeError(f"no cloud was published in {PATIENCE:g} s: the subscriber is gone")
 
     gc.collect()
     gc.freeze()
     cloth.start()
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + PATIENCE
     spin(lambda: time.monotonic() > end or (received() > 0 and (moving or cloth.simulation.asleep)))
     if not received():
-        raise RuntimeError(f"no cloud was received in {_PATIENCE:g} s")
+        raise RuntimeError(f"no cloud was received in {PATIENCE:g} s")
     if not (moving or cloth.simulation.asleep):
-        raise RuntimeError(f"the cloth did not fall asleep in {_PATIENCE:g} s")
+        raise RuntimeError(f"the cloth did not fall asleep in {PATIENCE:g} s")
     _wait_until_quiet(received)
     sent, got = cloth.published, received()
     # Frames due during the pause are not counted: the measured interval begins later.
@@ -199,51 +186,20 @@ def _wait_until_quiet(received: Callable[[], int], *, enough: int | None = None)
         time.sleep(0.01)
 
 
-def listen(topic: str, file: Path) -> None:
-    """Record stamp and arrival of each cloud until a signal arrives."""
-    rclpy.init(args=[])
-    node = Node(f"listener_{os.getpid()}")
-    with file.open("ab", buffering=0) as stream:
-
-        def see(data: bytes) -> None:
-            now = time.monotonic_ns()
-            second, nano = _STAMP.unpack_from(data, _STAMP_AT)
-            stream.write(_LINE.pack(second * 1_000_000_000 + nano, now))
-
-        node.create_subscription(PointCloud2, topic, see, QoSProfile(depth=10), raw=True)
-        gc.collect()
-        gc.freeze()
-        with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-            rclpy.spin(node)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the figures as JSON.
-
-    Returns:
-        Exit status: 1 if a cloud was lost or left out, else 0.
-    """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-stream", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     sides = "particles a side (default: 128 256, 16 and 65 thousand)"
     parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256], metavar="N", help=sides)
     parser.add_argument("--seconds", type=float, default=30.0, help="of each (default: 30)")
     parser.add_argument("--rate", type=float, default=60.0, help="frames a second (default: 60)")
     parser.add_argument("--moving", action="store_true", help="a soft cloth that falls, not one at rest")
-    parser.add_argument("--listen", nargs=2, metavar=("TOPIC", "FILE"), help="be the subscriber of another process")
-    options = parser.parse_args(arguments)
-    if options.listen:
-        listen(options.listen[0], Path(options.listen[1]))
-        return 0
+
+
+def figures(options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Return the counts of each size; they are met if no cloud was lost or left out."""
     least = 2.0 / options.rate
     if not options.seconds >= least:
-        parser.error(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
+        raise ValueError(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
+    common = {"seconds": options.seconds, "rate": options.rate, "moving": options.moving}
     with ros_context():
-        streams = []
-        for resolution in options.resolutions:
-            streams.append(measure(resolution, seconds=options.seconds, rate=options.rate, moving=options.moving))
-    sys.stdout.write(json.dumps([stream.summary() for stream in streams], indent=1) + "\n")
-    return 0 if all(stream.met for stream in streams) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        return [measure(resolution, **common).summary() for resolution in options.resolutions]

@@ -9,27 +9,18 @@ with a window paints the same messages; the time until its window is open is not
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
 
-from benchmarks.ros.node_process import node_process
-from cloth_sim_ros.session.child_process import child_environment, module_command
+from benchmarks.ros.node_process import module_process, node_process
 
-#: Longest wait for a first surface [s].
-_PATIENCE = 60.0
-_POLL = 0.02
 #: Time for which the viewer records, for the size of a frame [s].
 _RECORDED = 2.0
 _CLOTH = "/world/cloth"
@@ -57,25 +48,10 @@ def measure_viewer(target: str, folder: Path) -> FirstSurface:
     out = folder / "out.rrd"
     out.unlink(missing_ok=True)
     begun = time.monotonic()
-    viewer = subprocess.Popen(
-        module_command("cloth_sim_ros.ros.viewer_main", "--node", target, "--save", str(out)),
-        env=child_environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        while not _surface_sizes(out)[0]:
-            if viewer.poll() is not None:
-                raise RuntimeError(f"the viewer ended with status {viewer.returncode}")
-            if time.monotonic() - begun > _PATIENCE:
-                raise RuntimeError(f"no surface came in {_PATIENCE:g} s")
-            time.sleep(_POLL)
+    with module_process("cloth_sim_ros.ros.viewer_main", "--node", target, "--save", str(out)) as viewer:
+        viewer.wait_until(lambda: _surface_sizes(out)[0], "surface")
         wall = time.monotonic() - begun
         time.sleep(_RECORDED)
-    finally:
-        viewer.send_signal(signal.SIGINT)
-        viewer.wait()
     n_frames, n_bytes, triangle_bytes = _surface_sizes(out)
     return FirstSurface(wall=wall, frame_bytes=n_bytes / n_frames, triangle_bytes=triangle_bytes)
 
@@ -104,25 +80,22 @@ def _surface_sizes(path: Path) -> tuple[int, int, int]:
     return n_frames, n_bytes, triangle_bytes
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the figures as JSON.
-
-    Returns:
-        Exit status: 1 if the median time is above the goal, else 0.
-    """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ros-viewer", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("--starts", type=int, default=5, help="starts of the viewer (default: 5)")
     parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
-    options = parser.parse_args(arguments)
+
+
+def figures(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the figures; they are met if the median time is below the goal."""
     if options.starts < 1:
-        parser.error(f"--starts is {options.starts}; at least 1 is needed")
+        raise ValueError(f"--starts is {options.starts}; at least 1 is needed")
     name = f"viewed_{os.getpid()}"
     with tempfile.TemporaryDirectory() as folder, node_process(["-r", f"__node:={name}", *options.ros]) as node:
-        assert node.stderr is not None
-        next(line for line in node.stderr if "wall time, grippers" in line)
+        node.wait_for_output("wall time, grippers")
         starts = [measure_viewer(f"/{name}", Path(folder)) for _ in range(options.starts)]
     median = float(np.median([start.wall for start in starts]))
-    figures: dict[str, Any] = {
+    return {
         "first_surface_s": [round(start.wall, 3) for start in starts],
         "first_surface_median_s": round(median, 3),
         "frame_bytes": round(starts[-1].frame_bytes),
@@ -131,9 +104,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "goal_s": GOAL,
         "met": median < GOAL,
     }
-    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
-    return 0 if figures["met"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

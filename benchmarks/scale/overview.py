@@ -9,7 +9,7 @@ import json
 from typing import Any
 
 from validation.command import run_module
-from validation.report import Plot, Report, Table
+from validation.report import Report, Table
 
 #: Largest ratio of the time per particle and step to that of a sheet of about 10^4 particles.
 MAX_TIME_RATIO = 2.0
@@ -60,8 +60,6 @@ def run(options: argparse.Namespace) -> Report:
                 report.fail(f"{kind} of {sheet['particles']}: {ratio:.2f} times the time of 10^4")
             if sheet["particles"] >= _LARGE and share > MAX_MEMORY_RATIO:
                 report.fail(f"{kind} of {sheet['particles']}: {share:.2f} times the memory of what it must hold")
-        points = [(float(sheet["particles"]), float(sheet["least_ns"])) for sheet in sheets]
-        report.plots.append(Plot(f"Time, {kind}", "particles", "ns a particle and step", {kind: points}))
     report.tables += [times, memory]
     report.note("each sheet in separate processes, sizes in turns; shortest median frame of several")
     report.note("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
@@ -72,8 +70,7 @@ def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict
     best: dict[int, dict[str, Any]] = {}
     for _ in range(options.rounds):
         for size in options.sizes:
-            arguments = [kind, str(size), "--seconds", str(options.seconds)]
-            done = run_module("benchmarks.scale.sheet", *arguments)
+            done = run_module("benchmarks.scale.sheet", kind, str(size), str(options.seconds))
             if done.returncode:
                 last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
                 report.fail(f"{kind}, {size} a side, could not be run: {last}")

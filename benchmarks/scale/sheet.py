@@ -2,17 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Step time and memory of one sheet, in its own process.
 
-`python -m benchmarks.scale.sheet grid 1000` prints JSON. Each sheet has its own process, because a process seldom
-returns memory to the system.
+`python -m benchmarks.scale.sheet grid 1000 3.0` prints JSON. Its arguments are kind, particles a side, timing [s].
+Each sheet has its own process, because a process seldom returns memory to the system.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import json
-import resource
 import statistics
 import sys
 import time
@@ -27,35 +25,27 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Steps per frame: enough to make the cost per frame negligible at any size.
 STEPS = 40
-_KINDS = ("grid", "mesh")
 #: Particles a side of a warm-up sheet that loads the code of larger ones.
 _WARM = 56
 _MESH = "sheet.ply"
 
 
-def main() -> int:
-    """Run one sheet and print the figures as JSON."""
-    parser = argparse.ArgumentParser(prog="sheet.py", description=__doc__)
-    parser.add_argument("kind", choices=_KINDS)
-    parser.add_argument("resolution", type=int, help="particles a side")
-    parser.add_argument("--seconds", type=float, default=3.0, help="of timing")
-    options = parser.parse_args()
+def measure_sheet(kind: str, resolution: int, seconds: float) -> dict[str, Any]:
+    """Return the figures of one sheet, which are timed for some seconds."""
     # A warm-up sheet, large enough for all threads, excludes the memory of the code from the measurement.
-    _frames(_scene(options.kind, _WARM), frames=3)
+    _frames(_scene(kind, _WARM), frames=3)
     gc.collect()
     _forget_peak()
     before = _peak()
     begun = time.perf_counter()
-    scene = _scene(options.kind, options.resolution)
+    scene = _scene(kind, resolution)
     simulation = Simulation(scene)
     built = time.perf_counter() - begun
     figures: dict[str, Any] = {"build_s": built, "build_peak_bytes": _peak() - before}
     gc.collect()
     _forget_peak()
-    figures |= _measure(simulation, seconds=options.seconds)
-    figures |= {"peak_bytes": _peak() - before, **_needed(simulation)}
-    sys.stdout.write(json.dumps(figures) + "\n")
-    return 0
+    figures |= _measure(simulation, seconds=seconds)
+    return figures | {"peak_bytes": _peak() - before, **_needed(simulation)}
 
 
 def _scene(kind: str, resolution: int) -> Scene:
@@ -151,13 +141,9 @@ def _forget_peak() -> None:
 
 def _peak() -> int:
     """Return the peak memory of the process since the reset [bytes]."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        for line in status.read_text().splitlines():
-            if line.startswith("VmHWM"):
-                return 1024 * int(line.split()[1])
-    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+    return 1024 * int(line.split()[1])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.stdout.write(json.dumps(measure_sheet(sys.argv[1], int(sys.argv[2]), float(sys.argv[3]))) + "\n")

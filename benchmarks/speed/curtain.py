@@ -9,12 +9,13 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import attrs
 from support.problems import PERIOD, Problem
 from support.reference import Reference, reference
 
-from benchmarks.timing import time_interleaved
+from benchmarks.timing import run_interleaved
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.model.forces.force import Array
 
@@ -30,14 +31,20 @@ _TOLERANCE, _CHECK = 1e-10, 1e-9
 class CurtainRun:
     """Run of a scene as shipped."""
 
-    #: Wall time of the frames, without set-up [s].
-    seconds: float
+    #: Wall time of each frame [s].
+    frame_times: list[float]
     #: Final positions [m], shape (3, n).
     positions: Array
     #: Force evaluations of all frames.
     evaluations: int
-    #: Reason of the integrator's last choice.
+    #: Names of the integrators used, and reason of the last choice.
+    integrators: tuple[str, ...]
     reason: str
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the frames, without set-up [s]."""
+        return sum(self.frame_times)
 
 
 def scored(scene: Callable[[int], Problem], resolution: int) -> Problem:
@@ -57,15 +64,18 @@ def trusted(problem: Problem) -> Reference:
     return reference(problem, tolerance=_TOLERANCE, check=_CHECK)
 
 
-def run(problem: Problem, *, tolerance: float) -> CurtainRun:
-    """Run a scene frame by frame with automatic integrator and step, as a simulation does."""
-    plan, state = problem.build()
-    integrator = make_integrator("auto", tolerance=tolerance)
-    evaluations, reason, begin = 0, "", time.perf_counter()
-    for frame in range(problem.frames):
-        done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
-        evaluations, reason = evaluations + done.evaluations, done.reason
-    return CurtainRun(time.perf_counter() - begin, state.x, evaluations, reason)
+def run(problem: Problem, name: str = "auto", *, tolerance: float | None, one_core: bool = False) -> CurtainRun:
+    """Run a scene frame by frame by an integrator, as a simulation does, on all allowed cores or on one."""
+    frame_times, evaluations, reason, names = list[float](), 0, "", dict[str, None]()
+    with cores(one_core=one_core):
+        plan, state = problem.build()
+        integrator = make_integrator(name, tolerance=tolerance)
+        for frame in range(problem.frames):
+            begin = time.perf_counter()
+            done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
+            frame_times.append(time.perf_counter() - begin)
+            evaluations, reason, names[done.integrator] = evaluations + done.evaluations, done.reason, None
+    return CurtainRun(frame_times, state.x, evaluations, tuple(names), reason)
 
 
 @contextlib.contextmanager
@@ -104,32 +114,22 @@ def curtain_speeds(
     problem: Problem, known: Reference, *, tolerances: tuple[float, ...], seconds: float
 ) -> list[CurtainSpeed]:
     """Run a scene in turns at each tolerance, on all cores and on one, for about `seconds`."""
-    kinds = [(tolerance, one_core) for tolerance in tolerances for one_core in (False, True)]
-    runs: dict[str, list[CurtainRun]] = {str(kind): [] for kind in kinds}
-
-    def candidate(tolerance: float, one_core: bool) -> Callable[[], None]:
-        def turn() -> None:
-            with cores(one_core=one_core):
-                runs[str((tolerance, one_core))].append(run(problem, tolerance=tolerance))
-
-        return turn
-
-    time_interleaved({str(kind): candidate(*kind) for kind in kinds}, seconds=seconds)
-    speeds = []
-    for tolerance, one_core in kinds:
-        # The first run is a warm-up.
-        counted = runs[str((tolerance, one_core))][1:]
-        speeds.append(
-            CurtainSpeed(
-                tolerance=tolerance,
-                one_core=one_core,
-                factors=[problem.duration / counted_run.seconds for counted_run in counted],
-                evaluations=counted[-1].evaluations / problem.frames,
-                error=known.deviation(problem.frames, counted[-1].positions),
-                reason=counted[-1].reason,
-            )
+    candidates = {
+        (tolerance, one_core): partial(run, problem, tolerance=tolerance, one_core=one_core)
+        for tolerance in tolerances
+        for one_core in (False, True)
+    }
+    return [
+        CurtainSpeed(
+            tolerance=tolerance,
+            one_core=one_core,
+            factors=[problem.duration / counted_run.seconds for counted_run in counted],
+            evaluations=counted[-1].evaluations / problem.frames,
+            error=known.deviation(problem.frames, counted[-1].positions),
+            reason=counted[-1].reason,
         )
-    return speeds
+        for (tolerance, one_core), counted in run_interleaved(candidates, seconds=seconds).items()
+    ]
 
 
 def loosest_accurate(speeds: list[CurtainSpeed]) -> CurtainSpeed | None:

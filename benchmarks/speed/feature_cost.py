@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import statistics
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -17,11 +15,10 @@ from support.frame_counts import MARKERS, bytes_of_a_frame, calls_of_a_frame, mo
 
 from benchmarks.speed.curtain import cores
 from benchmarks.speed.hand_written_loop import HandWrittenLoop
-from benchmarks.timing import time_interleaved
+from benchmarks.timing import InterleavedTimes, repeated, time_interleaved
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.command import run_module
-from validation.report import Report, Table
+from validation.report import Report
 
 #: Largest ratio of a frame to one of the hand-written loop.
 MAX_HAND_WRITTEN_RATIO = 1.02
@@ -29,7 +26,6 @@ MAX_HAND_WRITTEN_RATIO = 1.02
 MAX_SLEEP_RATIO = 0.03
 #: Largest ratio of a frame of a realistic sheet to one of the default cloth.
 MAX_REALISTIC_RATIO = 1.5
-PARTS = ("hand", "features", "realistic", "counts", "outputs", "start")
 #: Scenes whose loaded modules are listed.
 _SCENES: dict[str, dict[str, Any]] = {
     "default": {},
@@ -51,17 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
     report = Report("Cost of features", "python -m benchmarks feature-cost")
-    parts = {
-        "hand": _hand,
-        "features": _features,
-        "realistic": _realistic,
-        "counts": _counts,
-        "outputs": _outputs,
-        "start": _start,
-    }
-    for part in PARTS:
-        if part in options.only:
-            parts[part](options, report)
+    for part in options.only:
+        PARTS[part](options, report)
     timing = "candidates are interleaved on one core and timed by processor time"
     report.note(f"{timing}; ratios are medians over the rounds")
     return report
@@ -69,7 +56,7 @@ def run(options: argparse.Namespace) -> Report:
 
 def _hand(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "scene", "frame ms", "to the loop by hand", "that loop to itself", "to its steps alone", "more us"]
-    table = Table("A simulation's frame against a hand-written loop of the necessary engine calls", columns)
+    table = report.add_table("A simulation's frame against a hand-written loop of the necessary engine calls", columns)
     scenes = {"springs alone": BARE, "springs, damping, drag, gravity": FORCES}
     for resolution in options.sizes:
         makers: dict[str, Callable[[], Callable[[], Any]]] = {}
@@ -80,16 +67,14 @@ def _hand(options: argparse.Namespace, report: Report) -> None:
             makers[f"{name}, steps"] = partial(_by_hand, scene, bare=True)
         times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
         for name in scenes:
-            simulated, hand = times[name], times[f"{name}, by hand"]
-            again, steps = times[f"{name}, again"], times[f"{name}, steps"]
-            ratio = 0.5 * (_ratio(simulated, hand) + _ratio(simulated, again))
-            milliseconds = 1e3 * statistics.median(simulated)
+            hand, again = f"{name}, by hand", f"{name}, again"
+            ratio = 0.5 * (times.ratio(name, hand) + times.ratio(name, again))
+            milliseconds = 1e3 * times.median(name)
             more = 1e3 * milliseconds * (1.0 - 1.0 / ratio)
-            row = [resolution, name, milliseconds, ratio, _ratio(again, hand), _ratio(simulated, steps), more]
-            table.rows.append(row)
+            ratios = [ratio, times.ratio(again, hand), times.ratio(name, f"{name}, steps")]
+            table.rows.append([resolution, name, milliseconds, *ratios, more])
             if ratio > MAX_HAND_WRITTEN_RATIO:
                 report.fail(f"N = {resolution}, {name}: {ratio:.3f} times the loop by hand")
-    report.tables.append(table)
 
 
 def _simulated(scene: Scene) -> Callable[[], Any]:
@@ -111,40 +96,26 @@ _FRAMES_A_TURN = 3
 
 def _frame_times(
     makers: Mapping[str, Callable[[], Callable[[], Any]]], *, copies: int, seconds: float
-) -> dict[str, list[float]]:
-    """Return the frame time of each candidate by round [s], on one core, as the fastest of several copies.
+) -> InterleavedTimes:
+    """Return the frame time of each candidate, on one core, as the fastest of several copies in each round.
 
     Copies are needed because the memory layout slows one in seven by up to an eighth.
     """
-
-    def turn(frame: Callable[[], Any]) -> Callable[[], None]:
-        def frames() -> None:
-            for _ in range(_FRAMES_A_TURN):
-                frame()
-
-        return frames
-
     with cores(one_core=True):
         # Copies of the candidates alternate, so that none has better memory.
-        frame_turns = {(name, k): turn(make()) for k in range(copies) for name, make in makers.items()}
-        candidates = {f"{name}#{k}": frames for (name, k), frames in frame_turns.items()}
-        turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
-    return {
-        name: [
-            min(round_) / _FRAMES_A_TURN
-            for round_ in zip(*(turns.seconds[f"{name}#{k}"] for k in range(copies)), strict=True)
-        ]
-        for name in makers
-    }
-
-
-def _ratio(times: list[float], baseline: list[float]) -> float:
-    return statistics.median(a / b for a, b in zip(times, baseline, strict=True))
+        candidates = {
+            f"{name}#{k}": repeated(make(), _FRAMES_A_TURN) for k in range(copies) for name, make in makers.items()
+        }
+        turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time).seconds
+    rounds = {name: zip(*(turns[f"{name}#{k}"] for k in range(copies)), strict=True) for name in makers}
+    return InterleavedTimes(
+        {name: [min(times) / _FRAMES_A_TURN for times in by_copy] for name, by_copy in rounds.items()}
+    )
 
 
 def _features(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "feature", "is", "frame ms", "to a frame without"]
-    table = Table("Cost of a feature", columns)
+    table = report.add_table("Cost of a feature", columns)
     for resolution in options.sizes:
         everything = variants()
         makers = {variant.name: partial(_running, variant, resolution) for variant in everything}
@@ -152,12 +123,11 @@ def _features(options: argparse.Namespace, report: Report) -> None:
         absent: dict[str, Variant] = {}
         for variant in everything:
             without = absent.setdefault(variant.feature, variant)
-            ratio = _ratio(times[variant.name], times[without.name])
-            milliseconds = 1e3 * statistics.median(times[variant.name])
+            ratio = times.ratio(variant.name, without.name)
+            milliseconds = 1e3 * times.median(variant.name)
             table.rows.append([resolution, variant.feature, variant.presence, milliseconds, ratio])
             if variant.asleep and ratio > MAX_SLEEP_RATIO:
                 report.fail(f"N = {resolution}: a frame asleep costs {ratio:.3g} of one that moves")
-    report.tables.append(table)
 
 
 #: The default cloth, its parts one by one, and all together: warp and weft, bending modulus, drag and added mass.
@@ -170,7 +140,9 @@ _BENDINGS = ("quadratic", "crossed", "altitude")
 
 
 def _realistic(options: argparse.Namespace, report: Report) -> None:
-    table = Table("A realistic sheet of 30 x 30 particles under error control", ["sheet", "frame ms", "to the default"])
+    table = report.add_table(
+        "A realistic sheet of 30 x 30 particles under error control", ["sheet", "frame ms", "to the default"]
+    )
     sheets: dict[str, dict[str, Any]] = {"default": {}, "warp and weft": _THREADS, "added mass": _MASS}
     sheets |= {f"bending {model}": {"bending.model": model, **_BENDING} for model in _BENDINGS}
     sheets |= {f"realistic, {model}": {"bending.model": model, **_THREADS, **_BENDING, **_MASS} for model in _BENDINGS}
@@ -179,10 +151,9 @@ def _realistic(options: argparse.Namespace, report: Report) -> None:
     makers = {name: partial(_simulated, scene) for name, scene in scenes.items()}
     times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
     for name in sheets:
-        table.rows.append([name, 1e3 * statistics.median(times[name]), _ratio(times[name], times["default"])])
-    report.tables.append(table)
+        table.rows.append([name, 1e3 * times.median(name), times.ratio(name, "default")])
     for name in ("realistic, quadratic", "realistic, quadratic, in wind"):
-        ratio = _ratio(times[name], times["default"])
+        ratio = times.ratio(name, "default")
         if ratio > MAX_REALISTIC_RATIO:
             report.fail(f"the sheet '{name}' takes {ratio:.3g} times the default; target {MAX_REALISTIC_RATIO:g}")
 
@@ -190,7 +161,7 @@ def _realistic(options: argparse.Namespace, report: Report) -> None:
 def _counts(options: argparse.Namespace, report: Report) -> None:
     resolution = options.sizes[0]
     columns = ["feature", "is", "calls of the engine a frame", "bytes a particle that a frame needs", "bytes it keeps"]
-    table = Table(f"Counts, N = {resolution}", columns)
+    table = report.add_table(f"Counts, N = {resolution}", columns)
     for variant in variants():
         simulation = Running(variant, resolution).simulation
         calls = calls_of_a_frame(simulation)
@@ -198,50 +169,14 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
         call_list = ", ".join(f"{name} {count}" if count > 1 else name for name, count in calls.items()) or "none"
         row = [variant.feature, variant.presence, call_list, needed / simulation.state.particle_count, retained]
         table.rows.append(row)
-    report.tables.append(table)
-    imports = Table("Modules that a fresh interpreter has loaded after two frames", ["scene", "ours", *MARKERS])
+    imports = report.add_table(
+        "Modules that a fresh interpreter has loaded after two frames", ["scene", "ours", *MARKERS]
+    )
     for name, values in _SCENES.items():
         loaded = modules_of(values)
         n_product_modules = sum(module.startswith("cloth_sim_ros") for module in loaded)
         seen = ["yes" if any(marker in loaded for marker in markers) else "no" for markers in MARKERS.values()]
         imports.rows.append([name, n_product_modules, *seen])
-    report.tables.append(imports)
 
 
-def _run_measurement(module: str, report: Report) -> dict[str, Any] | None:
-    """Run a measurement of the node in its own process, because this one must not load ROS; return its output."""
-    done = run_module(f"benchmarks.ros.{module}")
-    try:
-        figures: dict[str, Any] = json.loads(done.stdout)
-    except ValueError:
-        report.note(f"{module} failed: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
-        return None
-    return figures
-
-
-def _outputs(_options: argparse.Namespace, report: Report) -> None:
-    figures = _run_measurement("outputs", report)
-    if figures is None:
-        return
-    columns = ["there is", "frame ms", "to nobody"]
-    table = Table(f"Cost of outputs in a frame of {figures['particles']} particles", columns)
-    for name, times in figures["presences"].items():
-        table.rows.append([name, times["median_ms"], times["to_nobody"]])
-    report.tables.append(table)
-    if not figures["met"]:
-        ratio = figures["presences"]["both"]["to_nobody"]
-        report.fail(f"with recorder and subscriber {ratio:.3f} times the frame; target {figures['goal']:g}")
-
-
-def _start(_options: argparse.Namespace, report: Report) -> None:
-    figures = _run_measurement("start", report)
-    if figures is None:
-        return
-    columns = ["start", "least s", "median s", "most s", "processor time s"]
-    table = Table("From process start to the first cloud at a subscriber", columns)
-    warm = figures["warm_s"]
-    row = ["warm cache", min(warm), figures["warm_median_s"], max(warm), figures["warm_processor_median_s"]]
-    table.rows.append(row)
-    report.tables.append(table)
-    if not figures["met"]:
-        report.fail(f"a warm start took {figures['warm_median_s']} s; target {figures['goal_s']} s")
+PARTS = {"hand": _hand, "features": _features, "realistic": _realistic, "counts": _counts}

@@ -23,7 +23,7 @@ from cloth_sim_ros.session.snapshot_message import snapshot_bytes
 from cloth_sim_ros.session.writer import SessionSnapshot
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.report import Report, Table
+from validation.report import Report
 
 #: A cloth of 1 m that falls flat above a plane.
 _SCENE = {
@@ -48,14 +48,13 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Cost of ground truth", "python -m benchmarks ground-truth")
     parts = ("cloud", "all fields", "normals", "keypoints", "coverage", "snapshot")
     columns = ["N", *(f"{part} ms" for part in parts), "snapshot kB"]
-    table = Table("Processor time of a message", columns)
+    table = report.add_table("Processor time of a message", columns)
     for size in options.sizes:
         scene = Scene.from_parameters({**_SCENE, "cloth.resolution": [size, size]})
         simulation = Simulation(scene)
         for _ in range(_FRAMES):
             simulation.advance()
         table.rows.append([size, *_costs(simulation, options.seconds), len(_snapshot(simulation)) / 1e3])
-    report.tables.append(table)
     report.note("parts are interleaved on one core and timed by processor time; medians")
     return report
 

@@ -11,6 +11,7 @@ import statistics
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import attrs
@@ -19,7 +20,7 @@ from support.problems import PERIOD
 from support.raw_sheet import RawSheet
 from support.reference_kernel import ReferenceKernel
 
-from benchmarks.timing import time_interleaved
+from benchmarks.timing import repeated, time_interleaved
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -78,28 +79,19 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
     short_steps = 20
     out = np.empty_like(x)
 
-    def evaluate() -> None:
-        for _ in range(steps):
-            plan.accelerations(0.0, x, v, out)
-
-    def runner(count: int) -> Callable[[], None]:
-        def run() -> None:
-            plan.runs(0.0, count * _STILL, (x, v), [count], single_precision=single, threads=1)
-
-        return run
-
-    candidates: dict[str, Callable[[], None]] = {"few": runner(short_steps), "many": runner(short_steps + steps)}
+    lengths = {"few": short_steps, "many": short_steps + steps}
+    candidates: dict[str, Callable[[], object]] = {
+        name: steps_runner(plan, (x, v), count, single_precision=single) for name, count in lengths.items()
+    }
     if not single:
-        candidates["accelerations"] = evaluate
+        candidates["accelerations"] = repeated(lambda: plan.accelerations(0.0, x, v, out), steps)
     if compiler is not None:
         kernel = ReferenceKernel(sheet.sheet(), dtype, compiler=compiler)
         kernel.set_state(x, v)
         candidates["c"] = lambda: kernel.evaluate(steps)
     turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
     unit = 1e9 / (steps * len(sheet.sheet().pairs))
-    # Time of the additional steps of the long run, by round [s].
-    pairs = zip(turns.seconds["many"], turns.seconds["few"], strict=True)
-    whole = [long_time - short_time for long_time, short_time in pairs]
+    whole = turns.differences("many", "few")
     ratio = None
     if compiler is not None:
         pairs = zip(whole, turns.seconds["c"], strict=True)
@@ -126,10 +118,8 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
     # Enough frames per turn for some milliseconds.
     frames = max(_UPDATES_A_TURN // (steps * resolution**2), 1)
 
-    def repeat(which: Plan, threads: int) -> None:
-        # Frames of negligible duration cost as much as others.
-        for _ in range(frames):
-            which.runs(0.0, steps * _STILL, start, [steps], single_precision=single, threads=threads)
+    def repeat(which: Plan, threads: int) -> Callable[[], None]:
+        return repeated(steps_runner(which, start, steps, single_precision=single, threads=threads), frames)
 
     ends = []
     for threads in (1, 2):
@@ -139,14 +129,10 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
     with ThreadPoolExecutor(len(independent_plans)) as pool:
 
         def apart() -> None:
-            for done in [pool.submit(repeat, independent_plan, 1) for independent_plan in independent_plans]:
+            for done in [pool.submit(repeat(independent_plan, 1)) for independent_plan in independent_plans]:
                 done.result()
 
-        runs: dict[str, Callable[[], None]] = {
-            "1": lambda: repeat(plan, 1),
-            "2": lambda: repeat(plan, 2),
-            "apart": apart,
-        }
+        runs = {"1": repeat(plan, 1), "2": repeat(plan, 2), "apart": apart}
         turns = time_interleaved(runs, seconds=seconds)
     return ThreadGain(
         resolution=resolution,
@@ -158,6 +144,19 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
         most=2.0 * turns.ratio("1", "apart"),
         same_bits=ends[0] == ends[1],
     )
+
+
+def steps_runner(
+    plan: Plan,
+    start: tuple[Array, Array],
+    steps: int,
+    *,
+    t: float = 0.0,
+    single_precision: bool = False,
+    threads: int = 1,
+) -> Callable[[], object]:
+    """Return a function that takes a number of steps of negligible duration, which cost as much as others."""
+    return partial(plan.runs, t, steps * _STILL, start, [steps], single_precision=single_precision, threads=threads)
 
 
 def _start(sheet: RawSheet) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from benchmarks.speed import curtain as speed_curtain
 from benchmarks.speed import stiff as speed_stiff
 from benchmarks.speed.kernels import kernel_time, thread_gain
 from benchmarks.speed.plans import PlanTime, bending_time, force_times, grip_time, mesh_time
-from validation.report import Plot, Report, Table
+from validation.report import Report
 
 #: Largest ratio of a whole step to the forces of the C kernel.
 MAX_KERNEL_RATIO = 1.0
@@ -34,7 +34,6 @@ TOLERANCES = (1e-3, 1e-4)
 PLAN_GRID = 64
 #: Factor of the moduli of scene H, and its number of frames: 0.5 s.
 STIFFNESS, STIFF_FRAMES = 1000.0, 30
-PARTS = ("kernels", "plans", "curtain", "stiff", "threads")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,10 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
     report = Report("Speed", "python -m benchmarks speed")
-    parts = {"kernels": _kernels, "plans": _plans, "curtain": _curtains, "stiff": _stiff, "threads": _threads}
-    for part in PARTS:
-        if part in options.only:
-            parts[part](options, report)
+    for part in options.only:
+        PARTS[part](options, report)
     report.note(
         "medians of candidates that take turns; ratios are medians over the rounds; ns on one core by their "
         "processor time, all else by the wall clock"
@@ -71,27 +68,21 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
     if compiler is None:
         report.note("no C compiler here ($CC, cc, gcc, clang): the engine is timed without a comparison")
     columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
-    table = Table("Nanoseconds per spring, one core", columns)
-    lines: dict[str, list[tuple[float, float]]] = {}
+    table = report.add_table("Nanoseconds per spring, one core", columns)
     for dtype in (np.float32, np.float64):
         for resolution in options.kernels:
             row = kernel_time(resolution, dtype, compiler=compiler, seconds=options.seconds)
             known = ["-", row.step, "-"] if row.c is None else [row.c, row.step, row.ratio]
             alone = "-" if row.accelerations is None else row.accelerations
             table.rows.append([resolution, row.precision, *known, alone])
-            for name, value in (("C forces", row.c), ("whole step", row.step)):
-                if value is not None:
-                    lines.setdefault(f"{name}, {row.precision}", []).append((float(resolution), value))
             if row.ratio is not None and row.ratio > MAX_KERNEL_RATIO:
                 target = f"target {MAX_KERNEL_RATIO:g}"
                 report.fail(f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; {target}")
-    report.tables.append(table)
-    report.plots.append(Plot("Time per spring", "particles a side", "ns per spring", lines))
 
 
 def _plans(options: argparse.Namespace, report: Report) -> None:
     columns = ["scene", "particles", "a step", "estimated", "to the estimate"]
-    table = Table("Whole runs, ns per particle and step, one core", columns)
+    table = report.add_table("Whole runs, ns per particle and step, one core", columns)
     rows: list[tuple[str, PlanTime]] = []
     for count in options.meshes:
         rows.append(("mesh, vertices in random order", mesh_time(count, seconds=options.seconds)))
@@ -103,13 +94,11 @@ def _plans(options: argparse.Namespace, report: Report) -> None:
     rows += [(f"grid, {label}", row) for label, row in force_times(PLAN_GRID, seconds=options.seconds)]
     for scene, row in rows:
         table.rows.append([scene, row.particles, row.step, row.estimate, row.step / row.estimate])
-    report.tables.append(table)
 
 
 def _curtains(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "tolerance m", "cores", "x real time", "least", "most", "evaluations a frame", "error m", "at s"]
-    table = Table("Scene C as shipped", columns)
-    lines: dict[str, list[tuple[float, float]]] = {}
+    table = report.add_table("Scene C as shipped", columns)
     for resolution in options.curtains:
         scene = speed_curtain.scored(curtain, resolution)
         known = speed_curtain.trusted(scene)
@@ -118,7 +107,6 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
             row = [resolution, speed.tolerance, "one" if speed.one_core else "all", speed.factor]
             row += [min(speed.factors), max(speed.factors), speed.evaluations, speed.error, scene.duration]
             table.rows.append(row)
-            lines.setdefault(f"tolerance {row[1]:g}, cores: {row[2]}", []).append((float(resolution), speed.factor))
         report.note(f"curtain N = {resolution}: the reference's own error is {known.error:.1g} m")
         best = speed_curtain.loosest_accurate(speeds)
         min_speed = MIN_CURTAIN_SPEEDS.get(resolution, 0.0)
@@ -128,13 +116,11 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
         report.note(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
         if best.factor < min_speed:
             report.fail(f"curtain N = {resolution}: {best.factor:.3g} x real time; target {min_speed:g}")
-    report.tables.append(table)
-    report.plots.append(Plot("Scene C", "particles a side", "simulated s per wall s", lines))
 
 
 def _stiff(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "stepped", "integrator", "x real time", "frame ms", "slowest ms", "frames late", "error m"]
-    table = Table(f"Scene H, moduli x {STIFFNESS:g}, tolerance {speed_stiff.TOLERANCE:g} m, 0.5 s", columns)
+    table = report.add_table(f"Scene H, moduli x {STIFFNESS:g}, tolerance {speed_stiff.TOLERANCE:g} m, 0.5 s", columns)
     for resolution in options.stiff:
         scene = attrs.evolve(hung(resolution, STIFFNESS), frames=STIFF_FRAMES)
         known = speed_curtain.trusted(scene)
@@ -149,7 +135,6 @@ def _stiff(options: argparse.Namespace, report: Report) -> None:
             if speed.error > speed_stiff.TOLERANCE:
                 report.fail(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
         report.note(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
-    report.tables.append(table)
 
 
 def _threads(options: argparse.Namespace, report: Report) -> None:
@@ -157,19 +142,20 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
         report.note("one core alone is allowed here: two threads are not timed")
         return
     columns = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"]
-    table = Table("A frame of 1/60 s on two threads against one", columns)
+    table = report.add_table("A frame of 1/60 s on two threads against one", columns)
     for dtype in (np.float32, np.float64):
         for resolution in options.threads:
             row = thread_gain(resolution, dtype, seconds=options.seconds)
             cells = [resolution, row.precision, row.steps, 1e3 * row.one_thread, 1e3 * row.two_threads]
             table.rows.append([*cells, row.gain, row.most, "yes" if row.same_bits else "no"])
             where = f"two threads at N = {resolution}, {row.precision}"
-            if not row.same_bits:
-                report.fail(f"{where}: other bits than one thread")
+            report.require(row.same_bits, f"{where}: other bits than one thread")
             if resolution >= THREADS_FROM and row.gain < MIN_THREAD_GAIN:
                 report.fail(f"{where}: {row.gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {row.most:.2f})")
-    report.tables.append(table)
     report.note(
         "two sheets apart: gain in throughput of two independent sheets on two threads over one sheet on one thread, "
         "the limit of the machine"
     )
+
+
+PARTS = {"kernels": _kernels, "plans": _plans, "curtain": _curtains, "stiff": _stiff, "threads": _threads}

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
 
 import attrs
 import numpy as np
 from support.random_meshes import shuffled_mesh
 
+from benchmarks.speed.kernels import steps_runner
 from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array, Force
@@ -24,8 +24,6 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: Step too short to move anything [s].
-_STILL = 1e-9
 #: Particles times steps of one turn: some milliseconds.
 _UPDATES_A_TURN = 500_000
 _MIN_STEPS = 20
@@ -103,15 +101,9 @@ def force_times(resolution: int, *, seconds: float) -> list[tuple[str, PlanTime]
 def _time(plan: Plan, t: float, x: Array, v: Array, *, seconds: float) -> PlanTime:
     count = x.shape[1]
     steps, short_steps = max(_UPDATES_A_TURN // count, _MIN_STEPS), 1
-
-    def runner(count: int) -> Callable[[], None]:
-        def run() -> None:
-            plan.runs(t, count * _STILL, (x, v), [count], threads=1)
-
-        return run
-
-    runs = {"few": runner(short_steps), "many": runner(short_steps + steps)}
+    runs = {
+        name: steps_runner(plan, (x, v), n, t=t) for name, n in (("few", short_steps), ("many", short_steps + steps))
+    }
     turns = time_interleaved(runs, seconds=seconds, clock=time.thread_time)
-    pairs = zip(turns.seconds["many"], turns.seconds["few"], strict=True)
-    step = 1e9 / (steps * count) * statistics.median(long_time - short_time for long_time, short_time in pairs)
+    step = 1e9 / (steps * count) * statistics.median(turns.differences("many", "few"))
     return PlanTime(particles=count, step=step, estimate=plan.step_cost)

@@ -4,16 +4,15 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from functools import partial
 
 import attrs
 import numpy as np
 from support.problems import PERIOD, Problem
 from support.reference import Reference
 
-from benchmarks.timing import time_interleaved
-from cloth_sim_ros.physics.control.automatic import make_integrator
+from benchmarks.speed import curtain
+from benchmarks.timing import run_interleaved
 from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Tolerance, and bound of the final position error of the sheet as shipped [m].
@@ -47,36 +46,16 @@ class StiffSpeed:
 
 def stiff_speeds(problem: Problem, known: Reference, *, seconds: float) -> list[StiffSpeed]:
     """Run a scene in turns by each of `STEPPERS`, for about `seconds`."""
-    times: dict[str, list[list[float]]] = {name: [] for name in STEPPERS}
-    ends: dict[str, tuple[tuple[str, ...], Array]] = {}
-
-    def candidate(name: str) -> Callable[[], None]:
-        def turn() -> None:
-            integrator, tolerance = STEPPERS[name]
-            wall_times, names, x = _run(problem, integrator, tolerance)
-            times[name].append(wall_times)
-            ends[name] = names, x
-
-        return turn
-
-    time_interleaved({name: candidate(name) for name in STEPPERS}, seconds=seconds)
-    speeds = []
-    for name in STEPPERS:
-        integrators, x = ends[name]
-        # The first run is a warm-up.
-        frames = np.array(times[name][1:])
-        error = known.deviation(problem.frames, x)
-        speeds.append(StiffSpeed(name=name, integrators=integrators, frames=frames, error=error))
-    return speeds
-
-
-def _run(problem: Problem, name: str, tolerance: float | None) -> tuple[list[float], tuple[str, ...], Array]:
-    """Return wall times of the frames [s], integrators used, and final positions [m], (3, n)."""
-    plan, state = problem.build()
-    integrator = make_integrator(name, tolerance=tolerance)
-    wall_times, names = [], dict[str, None]()
-    for frame in range(problem.frames):
-        begin = time.perf_counter()
-        names[integrator.advance(plan, state, frame * PERIOD, PERIOD).integrator] = None
-        wall_times.append(time.perf_counter() - begin)
-    return wall_times, tuple(names), state.x
+    candidates = {
+        name: partial(curtain.run, problem, integrator, tolerance=tolerance)
+        for name, (integrator, tolerance) in STEPPERS.items()
+    }
+    return [
+        StiffSpeed(
+            name=name,
+            integrators=runs[-1].integrators,
+            frames=np.array([run.frame_times for run in runs]),
+            error=known.deviation(problem.frames, runs[-1].positions),
+        )
+        for name, runs in run_interleaved(candidates, seconds=seconds).items()
+    ]

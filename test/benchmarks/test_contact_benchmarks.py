@@ -3,7 +3,6 @@
 """Benchmark of contact: a short run, and its report of missed targets."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +15,8 @@ from benchmarks.contact import pinch as contact_pinch
 from benchmarks.contact import recovery as contact_starts
 from benchmarks.contact import self_contact as contact_self
 from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.parameters import ros_yaml
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp
-
-CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 def test_capstan_tension_ratio_is_exponential():
@@ -74,23 +70,11 @@ def test_recovery_is_slow_and_reports_missed_targets(capsys, monkeypatch):
     assert "NOT MET: start, plane: the energy balance leaves" in output
 
 
-def test_fold_poses_match_the_configuration():
-    for name, sign in (("left", -1.0), ("right", 1.0)):
-        steps = ros_yaml.load((CONFIG / f"fold_{name}.yaml").read_text(encoding="utf-8"))["steps"]
-        poses = {step["time"]: tuple(step["position"]) for step in steps}
-        assert poses == {t: (sign * contact_self.GRIPPER_OFFSET, y, z) for t, y, z, _ in contact_self.POSES}
-        turns = [step["orientation"] for step in steps]
-        assert np.allclose(turns, [contact_self.x_rotation(angle) for *_, angle in contact_self.POSES], atol=1e-6)
-        closes = [(step["time"], step["close"]) for step in steps if "close" in step]
-        assert closes == [(contact_self.CLOSING_TIME, True), (contact_self.OPENING_TIME, False)]
-
-
 def test_fold_grippers_close_and_open():
-    commands = [event for events in contact_self.events(300) for event in events]
-    assert [event.closed for event in commands if isinstance(event, Grasp)] == [True, True, False, False]
-    assert contact_self.gripper_pose(0.0) == (-0.22, 0.1, 0.0)
-    assert contact_self.gripper_pose(2.3) == pytest.approx((-0.0875, 0.15, -60.0))
-    assert contact_self.gripper_pose(9.0) == (0.23, 0.12, -180.0)
+    events = contact_self.fold_events()
+    grasps = [(frame, event.closed) for frame in range(300) for event in events.at(frame) if isinstance(event, Grasp)]
+    # At 1 s and at 4.8 s; both grippers each.
+    assert grasps == [(59, True), (59, True), (287, False), (287, False)]
 
 
 def test_self_contact_cost_is_reported(capsys, monkeypatch):

@@ -59,6 +59,11 @@ class Motion:
         self.frames += 1
         return done
 
+    def advance_frames(self, frames: int) -> None:
+        """Advance by some frames."""
+        for _ in range(frames):
+            self.advance()
+
     def borne(self) -> Array:
         """Forces [N] on the obstacles, shape (obstacles, 3)."""
         contact = self.plan.contact

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation import __main__ as validation_command
-from validation.case_pool import run_cases
+from validation.case_pool import CasePool
 from validation.stability.cases import Case, all_cases, contact_cases, random_cases, run_case
 from validation.stability.limits import LARGEST_EXCESS, measure_step_limit, stretched_sheet
 from validation.stability.scan import MAX_ENERGY_GAIN
@@ -115,9 +115,7 @@ def _square(case: int) -> int:
 
 
 def test_case_pool_reports_timeouts_and_dead_processes() -> None:
-    results = {
-        case_result.case: case_result for case_result in run_cases(_square, [1, 2, 3, 4, 5], workers=2, limit=1.0)
-    }
+    results = {case_result.case: case_result for case_result in CasePool(2, 1.0).run(_square, [1, 2, 3, 4, 5])}
     assert {case: case_result.result for case, case_result in results.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
     assert results[3].trouble == "its process ended"
     assert results[4].trouble == "took longer than 1 s"

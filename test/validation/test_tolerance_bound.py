@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.__main__ import main
-from validation.case_pool import CaseResult, run_missing
+from validation.case_pool import CasePool, CaseResult
 from validation.tolerance import bound
 from validation.tolerance.climb import FAMILIES, Climb, evaluate_vector, run_climb
 from validation.tolerance.compiled_reference import (
@@ -37,10 +37,18 @@ from validation.tolerance.recording import record_run
 from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, regime_scene
 from validation.tolerance.vector_generator import VectorGenerator
 from validation.tolerance.violent import run_violent
-from validation.tolerance.windows import evaluate_scene, evaluate_window, grip_points, unit_perturbations
+from validation.tolerance.windows import (
+    SceneEvaluation,
+    evaluate_scene,
+    evaluate_window,
+    grip_points,
+    unit_perturbations,
+)
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
+#: Types of a case and of its result.
+KINDS = (tuple[int, int, int], SceneEvaluation)
 REGIMES = {regime.name: regime for regime in all_regimes()}
 
 
@@ -239,15 +247,14 @@ def test_evaluated_scenes_are_read_from_the_file(held_scene, tmp_path, monkeypat
     result_file = tmp_path / "evaluated.jsonl"
     evaluation = evaluate_scene(2, held_scene, 1)
     case = (2, held_scene, 1)
-    results = list(run_missing(evaluate_scene, [], workers=1, limit=60.0, file=result_file, read=bound.read_result))
-    assert not results
+    pool = CasePool(1, 60.0, result_file)
+    assert not [*pool.run_missing(evaluate_scene, [], KINDS)]
     assert not result_file.exists()
-    monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: [CaseResult(case, evaluation, 1.0)])
-    limits = {"workers": 1, "limit": 60.0, "file": result_file, "read": bound.read_result}
-    first_results = list(run_missing(bound.evaluate_case, [case], **limits))
-    monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: pytest.fail("it runs again"))
+    monkeypatch.setattr(CasePool, "run", lambda *_: [CaseResult(case, evaluation, 1.0)])
+    first_results = [*pool.run_missing(bound.evaluate_case, [case], KINDS)]
+    monkeypatch.setattr(CasePool, "run", lambda *_: pytest.fail("it runs again"))
     assert (
-        list(run_missing(bound.evaluate_case, [case], **limits)) == first_results == [CaseResult(case, evaluation, 1.0)]
+        [*pool.run_missing(bound.evaluate_case, [case], KINDS)] == first_results == [CaseResult(case, evaluation, 1.0)]
     )
 
 

@@ -8,6 +8,7 @@ import attrs
 import pytest
 
 from validation.__main__ import main
+from validation.case_pool import CasePool, CaseResult
 from validation.tolerance import contact
 from validation.tolerance.contact import FRICTIONS, KINDS, draw_contact, evaluate_contact, run_contact
 
@@ -61,15 +62,13 @@ def test_contact_scenes_cover_every_kind_and_touch():
 
 def test_command_reports_evaluated_contact_scenes(tmp_path, monkeypatch):
     # Worker processes would not have the shorter window.
-    monkeypatch.setattr("validation.tolerance.bound.run_missing", _run_in_process)
+    monkeypatch.setattr(CasePool, "run_missing", _run_in_process)
     file = tmp_path / "output.json"
     assert main(["tolerance", "--contact", "--count", "1", "--windows", "1", "--json", str(file)]) == 0
     output = json.loads(file.read_text())
     assert output["tables"][0]["rows"][0][1] == "kept"
 
 
-def _run_in_process(evaluate, cases, **_):
-    from validation.case_pool import CaseResult
-
+def _run_in_process(_, evaluate, cases, kinds):
     for case in cases:
         yield CaseResult(case, evaluate(case), 1.0)

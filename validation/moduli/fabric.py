@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay
+from support.garment import as_obj
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
@@ -173,9 +174,7 @@ def _mesh_file(mesh: str, cells: int, length: float, seed: int) -> bytes:
     a, b, c = (points[corners[:, i]] for i in range(3))
     area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     corners = np.where((area < 0.0)[:, None], corners[:, ::-1], corners)[np.abs(area) > 1e-9]
-    lines = [f"v {x!r} {y!r} 0" for x, y in points.tolist()]
-    lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in corners.tolist()]
-    return "\n".join(lines).encode()
+    return as_obj(np.column_stack([points, np.zeros(len(points))]), corners)
 
 
 def _equilateral_points(cells: int, length: float) -> Array:

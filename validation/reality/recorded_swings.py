@@ -32,7 +32,7 @@ from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
-from validation.report import Report, Table, print_progress
+from validation.report import Report, print_progress
 
 #: Topics of the clouds and of the arm's tool.
 CLOUDS, TOOL = "/cloth_segmentation/cloth_mesh:x,y,z", "/iri_wam_controller/libbarrett_link_tcp"
@@ -138,7 +138,7 @@ def run(options: argparse.Namespace) -> Report:
     inside = [int((k + 0.5) * len(recordings) / n_fitted) for k in range(n_fitted)]
     outside = [k for k in range(len(recordings)) if k not in inside]
     columns = ["cloth", "motions", "median mm", "95 % mm", "rms mm", "better than rigid"]
-    table = Table("Distances of the points from the simulated cloth", columns)
+    table = report.add_table("Distances of the points from the simulated cloth", columns)
     with TrajectoryPool(options.workers) as pool:
         plain = _Evaluation(recordings, {}, pool)
         rigid = plain.rigid()
@@ -165,12 +165,10 @@ def run(options: argparse.Namespace) -> Report:
         better = sum(motions[k].rms < rigid[k].rms for k in selected) if len(motions) > 1 else "-"
         pooled = _pooled(chosen)
         table.rows.append([name, len(chosen), 1e3 * pooled.median, 1e3 * pooled.quantile_95, 1e3 * pooled.rms, better])
-    report.tables.append(table)
-    estimates = Table("Fitted parameters", ["parameter", "value", "90 % interval", "identified"])
+    estimates = report.add_table("Fitted parameters", ["parameter", "value", "90 % interval", "identified"])
     for e in fit.estimates:
         low, high = e.interval_at(0.9)
         estimates.rows.append([e.parameter.name, e.value, f"{low:.4g} to {high:.4g}", e.is_identified])
-    report.tables.append(estimates)
     first = fit.alignments[0]
     report.notes.append(
         f"{plain.n_clouds} clouds used, {plain.left_out.shortened} shortened ones left out; {seconds:.0f} s and "
@@ -180,8 +178,7 @@ def run(options: argparse.Namespace) -> Report:
     _check(report, "defaults", _pooled(plain.motions), DEFAULTS)
     _check(report, "fitted", _pooled([fitted.motions[k] for k in outside]), FITTED)
     worse = [recordings[k].name for k in outside if fitted.motions[k].rms >= rigid[k].rms]
-    if worse:
-        report.fail(f"a rigid cloth is nearer in {', '.join(worse)}")
+    report.require(not worse, f"a rigid cloth is nearer in {', '.join(worse)}")
     return report
 
 

@@ -9,6 +9,8 @@ correlated in space and time. They have the quantiles of the real camera: median
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import attrs
 import numpy as np
 from numpy.typing import NDArray
@@ -194,33 +196,23 @@ def record_motion(index: int, frames: Array, seed: int) -> Recording:
     used = np.flatnonzero(random.random(len(times)) >= LOSS_FRACTION)
     if len(used) < 3:
         used = np.sort(random.permutation(len(times))[:3])
-    left, right = gripper_positions(index, _pose_times())
-    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(left), 1))
-    return Recording(
-        name=f"swing_{index:02d}",
-        times=times[used],
-        clouds=[clouds[k] for k in used],
-        grippers={
-            "left": RecordedGripper(times=_pose_times(), positions=left, quaternions=level),
-            "right": RecordedGripper(times=_pose_times(), positions=right, quaternions=level),
-        },
-    )
+    return _recording(index, times[used], [clouds[k] for k in used])
 
 
 def complete_recording(index: int, frames: Array) -> Recording:
     """Return the recording of a motion by a perfect camera that is late and turned: all clouds and particles."""
     turn, centre = camera_pose()
-    left, right = gripper_positions(index, _pose_times())
-    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(left), 1))
-    return Recording(
-        name=f"swing_{index:02d}",
-        times=cloud_times(),
-        clouds=(show(frames, cloud_times()) - centre) @ turn.T + centre,
-        grippers={
-            "left": RecordedGripper(times=_pose_times(), positions=left, quaternions=level),
-            "right": RecordedGripper(times=_pose_times(), positions=right, quaternions=level),
-        },
-    )
+    return _recording(index, cloud_times(), (show(frames, cloud_times()) - centre) @ turn.T + centre)
+
+
+def _recording(index: int, times: Array, clouds: Sequence[Array] | Array) -> Recording:
+    """Return the recording of clouds and of the level grippers' poses."""
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(_pose_times()), 1))
+    grippers = {
+        name: RecordedGripper(times=_pose_times(), positions=positions, quaternions=level)
+        for name, positions in zip(("left", "right"), gripper_positions(index, _pose_times()), strict=True)
+    }
+    return Recording(name=f"swing_{index:02d}", times=times, clouds=clouds, grippers=grippers)
 
 
 def cloud_times() -> Array:

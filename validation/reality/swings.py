@@ -19,6 +19,7 @@ import numpy as np
 
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
+from validation.case_pool import read_lines
 from validation.reality import swing_samples as samples
 from validation.reality.linear_fits import linear_fit, linearize
 from validation.report import Report, Table, print_progress
@@ -74,16 +75,9 @@ def _processor_time() -> float:
 
 def recorded_fits(file: Path | None, n_motions: int) -> dict[int, dict[str, Any]]:
     """Return the finished fits of a file by seed."""
-    fits = {}
-    for line in file.read_text().splitlines() if file is not None and file.exists() else []:
-        try:
-            entry = json.loads(line)
-        except json.JSONDecodeError:
-            # The last line of an interrupted command.
-            continue
-        if entry["motions"] == n_motions and entry.get("set") == samples.SET:
-            fits[entry["seed"]] = entry
-    return fits
+    entries = read_lines(file) if file is not None and file.exists() else ()
+    key = n_motions, samples.SET
+    return {entry["seed"]: entry for entry in entries if (entry["motions"], entry.get("set")) == key}
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -118,7 +112,7 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
             f"fit {seed}: {fits[seed]['seconds']:.0f} s, {used:.0f} s of processors, {fits[seed]['runs']} runs"
         )
     columns = ["parameter", "identified", "largest error of these %", "rms error %", "mean bound %", "covered"]
-    table = Table(f"{len(entries)} complete fits to {options.motions} motions", columns)
+    table = report.add_table(f"{len(entries)} complete fits to {options.motions} motions", columns)
     for name in samples.TRUTH:
         rows = [entry["parameters"][name] for entry in entries]
         identified = [row for row in rows if row["identified"]]
@@ -136,9 +130,8 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
         )
         if identified and largest > MAX_ERROR:
             report.fail(f"{name} is identified with an error of {100 * largest:.1f} %")
-    report.tables.append(table)
     fit_columns = ["fit", "seconds", "processor seconds", "simulations", "right particles", "offset s", "angle deg"]
-    fit_table = Table("Fits", [*fit_columns, "left out one mm", "rigid mm", "floor mm", "doubt"])
+    fit_table = report.add_table("Fits", [*fit_columns, "left out one mm", "rigid mm", "floor mm", "doubt"])
     for entry in entries:
         numbers = [
             entry["seed"],
@@ -152,13 +145,10 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
         fit_table.rows.append(
             [*numbers, *(entry["rms"][name] for name in ("held_out", "rigid", "floor")), entry["doubt"]]
         )
-    report.tables.append(fit_table)
     wrong = [entry["seed"] for entry in entries if not entry["is_right_grasp"] and not entry["is_tie"]]
-    if wrong:
-        report.fail(f"fits {wrong} hold wrong particles")
+    report.require(not wrong, f"fits {wrong} hold wrong particles")
     longest = max(entry["seconds"] for entry in entries)
-    if longest > MAX_SECONDS:
-        report.fail(f"the longest fit took {longest:.0f} s")
+    report.require(longest <= MAX_SECONDS, f"the longest fit took {longest:.0f} s")
     _check_coverage(
         report, "complete", [row["covered"] for e in entries for row in e["parameters"].values()], len(entries)
     )
@@ -176,8 +166,7 @@ def _report_linear(report: Report, options: argparse.Namespace) -> None:
     _check_coverage(report, "linear", covered, len(fits))
     ratio = float(np.mean([fit.covariance.deviations / fit.best for fit in fits]))
     report.note(f"mean width of linear fits over the best possible: {ratio:.2f}")
-    if ratio > MAX_WIDTH_RATIO:
-        report.fail(f"intervals are {ratio:.2f} times as wide as the best possible")
+    report.require(ratio <= MAX_WIDTH_RATIO, f"intervals are {ratio:.2f} times as wide as the best possible")
 
 
 def linear_table(fits: list[Any], n_motions: int) -> Table:

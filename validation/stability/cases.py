@@ -10,9 +10,9 @@ from typing import Any
 
 import attrs
 import numpy as np
+from support.garment import as_obj
 from support.problems import irregular_sheet
 
-from cloth_sim_ros.physics.control.energy import leapfrog_energy
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
@@ -22,6 +22,7 @@ from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
+from validation.stability.energy_account import EnergyAccount
 from validation.stability.limits import max_stretch
 from validation.stability.stress_cases import STRESS_CASES, StressFrame
 from validation.stability.stress_cases_contact import CONTACT_STRESS_CASES
@@ -153,10 +154,8 @@ def _mesh() -> tuple[bytes, list[str]]:
     """Return an irregular mesh as the content of an OBJ file, and the particles of its upper edge."""
     sheet = irregular_sheet()
     rest_positions = sheet.positions()
-    lines = [f"v {x} {y} {z}" for x, y, z in rest_positions.tolist()]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in sheet.surface.triangles.tolist()]
     top = np.flatnonzero(rest_positions[:, 2] > rest_positions[:, 2].max() - 1e-9)
-    return "\n".join(lines).encode(), [str(particle) for particle in top]
+    return as_obj(rest_positions, sheet.surface.triangles), [str(particle) for particle in top]
 
 
 class WatchedSimulation(Simulation):
@@ -177,46 +176,6 @@ class WatchedSimulation(Simulation):
         return plan.energy(self.time, self.state.x, self.state.v, {}) - self.energy()
 
 
-class EnergyAccount:
-    """Energy account of a run and its spurious energy gain."""
-
-    def __init__(self, simulation: WatchedSimulation) -> None:
-        self._simulation = simulation
-        self._kinetic = _kinetic(simulation)
-        self._start = simulation.energy()
-        self._min_energy = self._min_modified_energy = self._start
-        self._external_work = 0.0
-        # Motion below the tolerance is not resolved: the scale of gains is at least the weight's work over it.
-        self._energy_turned_over = 9.81 * simulation.model.mass * TOLERANCE
-        #: See `StabilityResult.gain`.
-        self.gain = 0.0
-
-    def close(self, work: float, step: float | None) -> None:
-        """Account for a frame.
-
-        With a fixed step the leapfrog conserves the modified energy E - h^2/8 v'Kv, and E itself oscillates about it.
-        When the step changes, E stays and the modified energy jumps. An energy gain is real only if both show it.
-
-        Args:
-            work: external work over the frame [J].
-            step: length of fixed leapfrog steps [s]; None for any other stepping.
-        """
-        self._external_work += work
-        simulation = self._simulation
-        energy = modified_energy = simulation.energy()
-        if step is not None:
-            modified_energy = leapfrog_energy(simulation.plan, simulation.time, simulation.state, step)
-        energy, modified_energy = energy - self._external_work, modified_energy - self._external_work
-        kinetic = _kinetic(self._simulation)
-        self._energy_turned_over += abs(kinetic - self._kinetic) + abs(work)
-        self._energy_turned_over = max(self._energy_turned_over, self._start - energy)
-        self._kinetic = kinetic
-        gain = min(energy - self._min_energy, modified_energy - self._min_modified_energy)
-        self.gain = max(self.gain, gain / self._energy_turned_over)
-        self._min_energy = min(self._min_energy, energy)
-        self._min_modified_energy = min(self._min_modified_energy, modified_energy)
-
-
 def run_case(case: Case) -> StabilityResult:
     """Run one case to its end."""
     stress_case = _ALL_STRESS_CASES[case.stress_case]
@@ -228,7 +187,8 @@ def run_case(case: Case) -> StabilityResult:
     rest_positions = case_scene.initial_positions()
     corner = rest_positions[np.argmax(rest_positions[:, 0] - rest_positions[:, 2])]
     springs = _springs(simulation.model)
-    account = EnergyAccount(simulation)
+    # Motion below the tolerance is not resolved: the scale of gains is at least the weight's work over it.
+    account = EnergyAccount(simulation, 9.81 * simulation.model.mass * TOLERANCE)
     strain, flagged, rejected = 0.0, 0, 0
     names: dict[str, None] = {}
     trouble = ""
@@ -265,8 +225,3 @@ def _springs(model: Model) -> list[PairSprings]:
     """Return the springs of a model between two particles."""
     forces = [force.pair_springs if isinstance(force, GridSprings) else force for force in model.forces]
     return [force for force in forces if isinstance(force, PairSprings)]
-
-
-def _kinetic(simulation: WatchedSimulation) -> float:
-    v = simulation.state.v
-    return 0.5 * float(np.sum(simulation.model.masses * v * v))

@@ -11,14 +11,14 @@ from typing import Any
 
 import attrs
 
-from validation.case_pool import CaseResult, run_cases, run_missing, show_progress
+from validation.case_pool import CasePool, CaseResult
 from validation.report import Report, Table
 from validation.stability.cases import Case, StabilityResult, all_cases, contact_cases, random_cases, run_case
-from validation.stability.limits import PEER_CASES, PeerCase, limits, run_peer_case
+from validation.stability.limits import limits
 
 #: Largest energy gain of a case beyond the external work, relative to the energy turned over.
 MAX_ENERGY_GAIN = 0.01
-PARTS = ("scan", "limits", "peers")
+PARTS = ("scan", "limits")
 #: Number of slowest cases in the report.
 _N_SLOWEST = 10
 
@@ -46,26 +46,14 @@ def run(options: argparse.Namespace) -> Report:
         if options.contact:
             candidates = contact_cases(options.seed, options.contact)
         cases = candidates[:: options.every][: options.only]
-        _add_scan_results(report, _scan(cases, options), len(candidates))
+        pool = CasePool(options.workers, options.limit, options.resume)
+        results = [*pool.run_missing(run_case, cases, (Case, StabilityResult))]
+        _add_scan_results(report, results, len(candidates))
     if "limits" in options.parts:
         table, failures = limits()
         report.tables.append(table)
         report.failures += failures
-    if "peers" in options.parts:
-        report.tables.append(_peers(report, options.workers))
     return report
-
-
-def _scan(cases: list[Case], options: argparse.Namespace) -> list[CaseResult[Case, StabilityResult]]:
-    pool_limits = {"workers": options.workers, "limit": options.limit}
-    results = run_missing(run_case, cases, **pool_limits, file=options.resume, read=_read)
-    return list(show_progress(results, len(cases), "case"))
-
-
-def _read(entry: dict[str, Any]) -> CaseResult[Case, StabilityResult]:
-    case, result = Case(**entry["case"]), entry["result"]
-    verdict = None if result is None else StabilityResult(**{**result, "integrators": tuple(result["integrators"])})
-    return CaseResult(case, verdict, entry["seconds"], entry["trouble"])
 
 
 def _add_scan_results(report: Report, results: list[CaseResult[Case, StabilityResult]], n_all_cases: int) -> None:
@@ -80,10 +68,11 @@ def _add_scan_results(report: Report, results: list[CaseResult[Case, StabilityRe
         elif verdict.gain > MAX_ENERGY_GAIN:
             names = ", ".join(verdict.integrators)
             report.fail(f"{case} by {names}: gains {verdict.gain:.2g} of the energy turned over")
-    slowest = Table("Slowest cases", ["sheet", "stress_case", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"])
+    slowest = report.add_table(
+        "Slowest cases", ["sheet", "stress_case", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"]
+    )
     for done in sorted(results, key=lambda done: -done.seconds)[:_N_SLOWEST]:
         slowest.rows.append([*attrs.astuple(done.case), done.seconds])
-    report.tables.append(slowest)
     total = sum(done.seconds for done in results)
     report.note(f"{len(results)} cases of {n_all_cases}, {total:.0f} s of wall time in all processes together")
 
@@ -105,18 +94,4 @@ def _summary(results: list[CaseResult[Case, StabilityResult]], keys: tuple[str, 
         integrators = ", ".join(sorted({name for verdict in verdicts for name in verdict.integrators}))
         row = [*key, len(group), n_not_finite, len(group) - len(verdicts), strain, gain, n_flagged]
         table.rows.append([*row, mean_time, integrators])
-    return table
-
-
-def _peers(report: Report, workers: int) -> Table:
-    columns = ["moduli x", "step s", "by", "largest stretch", "error at 0.5 s, m"]
-    table = Table("Scene A, 16 x 16, 2 s, one step of the stated length", columns)
-    rows: dict[PeerCase, list[Any]] = {}
-    for done in run_cases(run_peer_case, PEER_CASES, workers=workers, limit=600.0):
-        case = done.case
-        name, worst, error, trouble = done.result or ("", float("inf"), float("inf"), done.trouble)
-        rows[case] = [case.stiffness, case.step, name, worst, error]
-        if trouble:
-            report.fail(f"scene A, moduli x {case.stiffness:g}, step {case.step:.3g} s: {trouble}")
-    table.rows += [rows[case] for case in PEER_CASES]
     return table

@@ -52,7 +52,8 @@ class StressCase:
     values: dict[str, Any] = attrs.field(factory=dict)
 
 
-def _unchanged(rest_positions: Array, random: np.random.Generator) -> Array:
+def unchanged(rest_positions: Array, random: np.random.Generator) -> Array:
+    """Return the rest positions."""
     return rest_positions
 
 
@@ -102,7 +103,8 @@ def _folded(rest_positions: Array, random: np.random.Generator) -> Array:
     return changed
 
 
-def _no_events(frame: StressFrame) -> list[Event]:
+def no_events(frame: StressFrame) -> list[Event]:
+    """Return no events."""
     return []
 
 
@@ -154,16 +156,16 @@ def _parameters(frame: StressFrame) -> list[Event]:
 
 
 STRESS_CASES = {
-    "hanging": StressCase(_unchanged, _no_events),
-    "release": StressCase(_unchanged, _release),
-    "snap grasp": StressCase(_unchanged, _snap),
-    "yanked at 10 m/s": StressCase(_unchanged, _yank),
-    "zero-length springs": StressCase(_unchanged, _jump, radius=WIDE_RADIUS),
+    "hanging": StressCase(unchanged, no_events),
+    "release": StressCase(unchanged, _release),
+    "snap grasp": StressCase(unchanged, _snap),
+    "yanked at 10 m/s": StressCase(unchanged, _yank),
+    "zero-length springs": StressCase(unchanged, _jump, radius=WIDE_RADIUS),
     "parameters change": StressCase(_folded, _parameters),
-    "stretched x 3": StressCase(_stretched, _no_events),
-    "crumpled": StressCase(_crumpled, _no_events),
-    "coincident": StressCase(_coincident, _no_events),
-    "half in one point": StressCase(_collapsed, _no_events),
-    "inverted cell": StressCase(_inverted, _no_events),
-    "folded shut": StressCase(_folded, _no_events),
+    "stretched x 3": StressCase(_stretched, no_events),
+    "crumpled": StressCase(_crumpled, no_events),
+    "coincident": StressCase(_coincident, no_events),
+    "half in one point": StressCase(_collapsed, no_events),
+    "inverted cell": StressCase(_inverted, no_events),
+    "folded shut": StressCase(_folded, no_events),
 }

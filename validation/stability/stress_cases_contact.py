@@ -10,7 +10,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
-from validation.stability.stress_cases import YANK_SPEED, StressCase, StressFrame
+from validation.stability.stress_cases import YANK_SPEED, StressCase, StressFrame, no_events, unchanged
 
 #: Contact thickness in these cases [m]: the cells of the cloth are 0.14 m wide.
 THICKNESS = 0.01
@@ -23,10 +23,6 @@ _PLATE: dict[str, Any] = {"shape": "box", "size": [1.2, 0.1, 1.2], "friction": [
 def _plate(name: str, y: float) -> dict[str, Any]:
     """Return the parameters of a plate parallel to the sheet, its centre at y [m]."""
     return {**{f"{name}.{key}": value for key, value in _PLATE.items()}, f"{name}.position": [0.0, y, 1.0]}
-
-
-def _unchanged(rest_positions: Array, random: np.random.Generator) -> Array:
-    return rest_positions
 
 
 def _folded(rest_positions: Array, random: np.random.Generator) -> Array:
@@ -60,13 +56,9 @@ def _crush(frame: StressFrame) -> list[Event]:
     return [Move("back", (0.0, 0.3, 1.0))] if frame.is_first_after(0.3) else []
 
 
-def _no_events(frame: StressFrame) -> list[Event]:
-    return []
-
-
 CONTACT_STRESS_CASES = {
     "driven through at 10 m/s": StressCase(
-        _unchanged,
+        unchanged,
         _drive_through,
         values={
             **_COMMON,
@@ -78,7 +70,7 @@ CONTACT_STRESS_CASES = {
         },
     ),
     "pinch yanked at 10 m/s": StressCase(
-        _unchanged,
+        unchanged,
         _pinch_and_yank,
         values={
             **_COMMON,
@@ -89,14 +81,14 @@ CONTACT_STRESS_CASES = {
         },
     ),
     "crushed": StressCase(
-        _unchanged,
+        unchanged,
         _crush,
         values={**_COMMON, "obstacles": ["front", "back"], **_plate("front", -0.2), **_plate("back", 0.2)},
     ),
     "nearly on it": StressCase(
-        _unchanged,
-        _no_events,
+        unchanged,
+        no_events,
         values={**_COMMON, "obstacles": ["front"], **_plate("front", -0.05 - START_GAP * THICKNESS)},
     ),
-    "folded on itself": StressCase(_folded, _no_events, values={**_COMMON, "contact.self": True}),
+    "folded on itself": StressCase(_folded, no_events, values={**_COMMON, "contact.self": True}),
 }

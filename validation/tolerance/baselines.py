@@ -17,8 +17,11 @@ from support.problems import PERIOD, Problem
 from support.reference import RightSide
 
 from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.integrators.base import Integrator
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan import thread_limit
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 from validation.tolerance.jacobian import SparseJacobian
 
 
@@ -76,12 +79,8 @@ def product_solvers(tolerances: tuple[float, ...]) -> list[SolverSetting]:
 def _product_solver(name: str, tolerance: float, *, single_threaded: bool) -> SolverSetting:
     def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
-        integrator = make_integrator(name, tolerance=tolerance)
         with thread_limit.single_threaded() if single_threaded else nullcontext():
-            evaluations, begin = 0, time.perf_counter()
-            for frame in range(problem.frames):
-                evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
-            return SolverRun(state.x, time.perf_counter() - begin, evaluations)
+            return _advance(problem, plan, state, make_integrator(name, tolerance=tolerance))
 
     kind, label = ("alone", f"{name}, one thread") if single_threaded else ("ours", name)
     return SolverSetting(f"cloth_sim_ros, {label}", f"tolerance {tolerance:g}", kind, solve, tolerance)
@@ -90,15 +89,17 @@ def _product_solver(name: str, tolerance: float, *, single_threaded: bool) -> So
 def _fixed_step_leapfrog(limit_fraction: float) -> SolverSetting:
     def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
-        integrator = make_integrator("leapfrog")
-        step = limit_fraction * integrator.step_limit(*plan.spectral_bounds(state.x))
-        fixed = make_integrator("leapfrog", step=step)
-        evaluations, begin = 0, time.perf_counter()
-        for frame in range(problem.frames):
-            evaluations += fixed.advance(plan, state, frame * PERIOD, PERIOD).evaluations
-        return SolverRun(state.x, time.perf_counter() - begin, evaluations)
+        step = limit_fraction * make_integrator("leapfrog").step_limit(*plan.spectral_bounds(state.x))
+        return _advance(problem, plan, state, make_integrator("leapfrog", step=step))
 
     return SolverSetting("plain leapfrog", f"{limit_fraction:g} of the limit", "beside", solve)
+
+
+def _advance(problem: Problem, plan: Plan, state: State, integrator: Integrator) -> SolverRun:
+    evaluations, begin = 0, time.perf_counter()
+    for frame in range(problem.frames):
+        evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
+    return SolverRun(state.x, time.perf_counter() - begin, evaluations)
 
 
 def _scipy(method: str, tolerance: float) -> SolverSetting:

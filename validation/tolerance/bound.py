@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from validation.case_pool import CaseResult, run_missing, show_progress
+from validation.case_pool import CasePool
 from validation.report import Report, Table
 from validation.tolerance.climb import FAMILIES as CLIMB_FAMILIES
 from validation.tolerance.climb import climb_command
@@ -118,12 +118,15 @@ def _evaluate_random(options: argparse.Namespace) -> Report:
 def _add_evaluations(
     evaluate: Callable[[_Case], SceneEvaluation], cases: list[_Case], options: argparse.Namespace, report: Report
 ) -> None:
-    evaluations: list[SceneEvaluation] = []
-    for case_result in progress(cases, options, evaluate):
-        if case_result.result is None:
-            report.fail(f"scene {case_result.case[1]}: {case_result.trouble}")
-            continue
-        evaluations.append(case_result.result)
+    done = CasePool(options.jobs, options.limit, options.resume).report(
+        evaluate,
+        cases,
+        report,
+        name=lambda case: f"scene {case[1]}",
+        describe=_describe,
+        kinds=(_Case, SceneEvaluation),
+    )
+    evaluations = [evaluation for _, evaluation in done]
     evaluations.sort(key=lambda evaluation: evaluation.index)
     title = f"Windows above {_LISTED_RATIO} of the error bound"
     report.tables += [_scenes(evaluations), _windows(title, evaluations, min_ratio=_LISTED_RATIO)]
@@ -147,28 +150,6 @@ def select_cases(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
     return cases, rejected
 
 
-def progress(cases: list[_Case], options: argparse.Namespace, evaluate: Callable[[_Case], SceneEvaluation]) -> Any:
-    """Yield the result of each scene as it ends, and print it beside a progress bar."""
-    from tqdm import tqdm
-
-    pool_limits = {"workers": options.jobs, "limit": options.limit}
-    results = run_missing(evaluate, cases, **pool_limits, file=options.resume, read=read_result)
-    for case_result in show_progress(results, len(cases), "scene"):
-        tqdm.write(_line(case_result))
-        yield case_result
-
-
-def read_result(entry: dict[str, Any]) -> CaseResult[_Case, SceneEvaluation]:
-    """Return the result of a case from its line in a file."""
-    seed, index, windows = entry["case"]
-    result = entry["result"]
-    if result is not None:
-        result["windows"] = tuple(Window(**window) for window in result["windows"])
-        result["whole"] = result["whole"] and Window(**result["whole"])
-        result["unknown"] = tuple(result["unknown"])
-    return CaseResult((seed, index, windows), result and SceneEvaluation(**result), entry["seconds"], entry["trouble"])
-
-
 def evaluate_case(case: _Case) -> SceneEvaluation:
     """Evaluate a case in a worker process."""
     return evaluate_scene(*case)
@@ -180,10 +161,8 @@ def _evaluate_contact_case(case: _Case) -> SceneEvaluation:
     return evaluate_contact(*case)
 
 
-def _line(case_result: CaseResult[_Case, SceneEvaluation]) -> str:
-    if case_result.result is None:
-        return f"{case_result.case[1]:4d} {case_result.trouble}"
-    row = dict(zip(_COLUMNS, _row(case_result.result), strict=True))
+def _describe(evaluation: SceneEvaluation) -> str:
+    row = dict(zip(_COLUMNS[1:], _row(evaluation)[1:], strict=True))
     return ", ".join(
         f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in row.items()
     )
@@ -257,8 +236,7 @@ def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
         f"with g below {CALM_AMPLIFICATION:g}: {n_calm_violated}",
         f"{n_flagged_frames} of {frames} frames flagged ({n_flagged_frames / max(1, frames):.2%})",
     ]
-    if violated:
-        report.fail(f"{len(violated)} unflagged windows violate the error bound")
+    report.require(not violated, f"{len(violated)} unflagged windows violate the error bound")
     if far_violated:
         report.fail(f"{len(far_violated)} windows are above {MAX_FLAGGED_RATIO:g} times the error bound")
     if well_conditioned and len(flagged) > MAX_FLAGGED_FRACTION * len(well_conditioned):
@@ -273,8 +251,7 @@ def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
         ),
         ("that stopped", [scene.index for scene in evaluations if scene.trouble]),
     ):
-        if scene_indices:
-            report.fail(f"scenes {description}: {_join_numbers(scene_indices)}")
+        report.require(not scene_indices, f"scenes {description}: {_join_numbers(scene_indices)}")
 
 
 def _join_numbers(indices: list[int]) -> str:

@@ -10,7 +10,6 @@ differential evolution.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.parameters.declare import ParameterError
-from validation.case_pool import CaseResult, run_missing, show_progress
+from validation.case_pool import CasePool, read_results
 from validation.report import Report, Table
 from validation.tolerance.climb_more import contact, save_times
 from validation.tolerance.climb_scenes import SCENE_FAMILIES, Trial
@@ -70,6 +69,10 @@ class ClimbResult:
     #: Windows that the reference can't follow, and scenes without evaluation.
     unknown: int
     not_evaluated: int
+
+
+#: Types of a case and of its result.
+_KINDS = (Climb, ClimbResult)
 
 
 class _TimeOverError(Exception):
@@ -176,8 +179,6 @@ def climb_command(options: argparse.Namespace) -> Report:
 
 
 def _climb(options: argparse.Namespace) -> Report:
-    from tqdm import tqdm
-
     families = options.family or list(FAMILIES)
     cases = [
         Climb(
@@ -188,20 +189,18 @@ def _climb(options: argparse.Namespace) -> Report:
     command = f"python -m validation tolerance --climb --climbs {options.climbs} --seconds {options.seconds:g}"
     command += f" --seed {options.seed}" + (f" --family {' '.join(families)}" if options.family else "")
     report = Report("Search for violations of the error bound", command)
-    results = dict[Climb, ClimbResult]()
-    limits = {"workers": options.jobs, "limit": _LOAD * (options.seconds + _LAST_SCENE)}
-    dones = run_missing(run_climb, cases, **limits, file=options.resume, read=_read)
-    for done in show_progress(dones, len(cases), "climb"):
-        if done.result is None:
-            report.fail(f"climb {done.case.index} of {done.case.family}: {done.trouble}")
-            continue
-        results[done.case] = done.result
-        result, case = done.result, done.case
-        tqdm.write(f"{case.index:4d} {case.family}, {case.method}: ratio {result.ratio:.3g}, {result.words}")
+    results = CasePool(options.jobs, _LOAD * (options.seconds + _LAST_SCENE), options.resume).report(
+        run_climb,
+        cases,
+        report,
+        name=lambda climb: f"climb {climb.index} of {climb.family}, {climb.method}",
+        describe=lambda result: f"ratio {result.ratio:.3g}, {result.words}",
+        kinds=_KINDS,
+    )
     summary = ["family", "climbs", "scenes", "lowest best", "lower quartile", "median best", "upper quartile", "best"]
     summary_table = Table("Largest error ratio of each climb", [*summary, "above 1", "median of windows", "flagged"])
     for family in families:
-        summits = [result for climb, result in results.items() if climb.family == family]
+        summits = [result for climb, result in results if climb.family == family]
         if summits:
             ratios = [result.ratio for result in summits]
             counts = {
@@ -213,30 +212,22 @@ def _climb(options: argparse.Namespace) -> Report:
             summary_table.rows.append([*row, counts["flagged"] / max(1, counts["windows"])])
     columns = ["climb", "family", "method", "ratio", "tolerance m", "g", "scenes", "unknown", "not evaluated", "what"]
     table = Table("Scene of the largest error ratio of each climb", columns)
-    for climb, result in sorted(results.items(), key=lambda pair: -pair[1].ratio):
+    for climb, result in sorted(results, key=lambda pair: -pair[1].ratio):
         row = [climb.index, climb.family, climb.method, result.ratio, result.tolerance, result.amplification]
         table.rows.append([*row, result.scenes, result.unknown, result.not_evaluated, result.words])
     report.tables += [summary_table, table]
-    violations = sum(result.ratio > 1.0 for result in results.values())
+    violations = sum(result.ratio > 1.0 for _, result in results)
     if violations:
         report.fail(f"{violations} of {len(results)} climbs violate the error bound without a flagged frame")
     return report
-
-
-def _read(entry: dict[str, Any]) -> CaseResult[Climb, ClimbResult]:
-    result = entry["result"]
-    if result is not None:
-        result = ClimbResult(**{**result, "vector": tuple(result["vector"])})
-    return CaseResult(Climb(**entry["case"]), result, entry["seconds"], entry["trouble"])
 
 
 def _replay(file: Path) -> Report:
     """Evaluate the best scene of each climb of a file again."""
     report = Report("Replay of a search", f"python -m validation tolerance --replay {file}")
     columns = ["climb", "family", "ratio", "recorded ratio", "tolerance m", "g", "error m", "flagged windows", "what"]
-    table = Table("Scenes of the largest error ratios", columns)
-    for line in file.read_text().splitlines():
-        done = _read(json.loads(line))
+    table = report.add_table("Scenes of the largest error ratios", columns)
+    for done in read_results(file, _KINDS):
         if done.result is None or not done.result.vector:
             continue
         trial = evaluate_vector(done.case.family, np.array(done.result.vector))
@@ -246,7 +237,6 @@ def _replay(file: Path) -> Report:
         n_flagged = sum(window.flagged > 0 for window in trial.windows) if trial else 0
         table.rows.append([*row, n_flagged, done.result.words])
     table.rows.sort(key=lambda row: -float(row[2]))
-    report.tables.append(table)
     violations = sum(row[2] > 1.0 for row in table.rows)
     if violations:
         report.fail(f"{violations} of {len(table.rows)} scenes violate the error bound without a flagged frame")

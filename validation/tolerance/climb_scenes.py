@@ -15,7 +15,7 @@ from support.random_meshes import drawn_alike, outline_with_a_hole
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
-from validation.tolerance.compiled_reference import ReferenceFailureError, ReferenceSystem
+from validation.tolerance.compiled_reference import ReferenceFailureError
 from validation.tolerance.linear_motion import LinearMotion
 from validation.tolerance.random_grips import RandomGripScript
 from validation.tolerance.random_scenes import (
@@ -23,10 +23,9 @@ from validation.tolerance.random_scenes import (
     added_mass,
     initial_state,
     log_uniform,
-    max_frequency,
-    reference_cost,
     sheet_air,
     upright_orientation,
+    with_cost,
 )
 from validation.tolerance.recording import MAX_FORCE_MISMATCH, RecordedRun, record_run
 from validation.tolerance.regimes import Regime, regime_scene
@@ -64,6 +63,7 @@ class Trial:
 
 def evaluate_trial(draw: RandomScene, parameters: Mapping[str, Any], *, linear: bool = False) -> Trial:
     """Evaluate the two windows of a scene; those of a linear one against the matrix exponential."""
+    draw = with_cost(draw, windows=2)
     trial = Trial(tolerance=draw.scene.tolerance, words=draw.words, parameters=parameters)
     if draw.cost > MAX_TRIAL_COST:
         return attrs.evolve(trial, trouble="beyond the cap")
@@ -103,18 +103,14 @@ def linear_window(
     """Evaluate positions (3, n) [m] at the ends of successive durations [s] against the exact motion from the start."""
     exact = [motion.advance(duration) for duration in durations]
     amplification = motion.amplification(durations)
-    return Window(
+    return Window.of(
+        advances,
         first=first,
         frames=len(durations),
         error=max(float(np.linalg.norm(a - b, axis=0).max()) for a, b in zip(positions, exact, strict=True)),
         amplification=amplification,
         error_bound=tolerance * max(1.0, amplification),
         reference_error=float(np.linalg.norm(exact[-1] - motion.positions_after(sum(durations)), axis=0).max()),
-        flagged=sum(advance.flagged > 0 for advance in advances),
-        asleep=sum(advance.limited_by == "rest" for advance in advances),
-        limited_by=", ".join(sorted({advance.limited_by for advance in advances})),
-        reason=max(advances, key=lambda advance: (advance.flagged, advance.evaluations)).reason,
-        evaluations=sum(advance.evaluations for advance in advances),
         reference_evaluations=0,
     )
 
@@ -194,9 +190,8 @@ def _evaluate_springs(
     words = f"{len(tables['springs'])} springs, drag {drag:.2g}/s, {rate:g} Hz"
     more: dict[str, Any] = {"linear": linear, "gravity": gravity, "duration": DURATION, "rate": rate, "drag": drag}
     draw = regime_scene(Regime(words, tables, anchors or ("",), **more), tolerance)
-    cost = reference_cost(ReferenceSystem(draw.scene.model()), draw.frequency, DURATION, windows=2)
     parameters = {**tables, "anchors": anchors, "tolerance": tolerance, **more}
-    return evaluate_trial(attrs.evolve(draw, cost=cost), parameters, linear=linear)
+    return evaluate_trial(draw, parameters, linear=linear)
 
 
 def hung(rng: np.random.Generator) -> Trial:
@@ -312,22 +307,12 @@ def _evaluate_sheet(
     if gust and rng.random() < 0.7:
         changed = {"wind.velocity": rng.uniform(-4.0, 4.0, 3).tolist(), "air.drag": log_uniform(rng, 0.02, 2.0)}
         changes[int(rng.integers(1, frames))] = changed
-    script = RandomGripScript(holds=())
+    script = RandomGripScript()
     if pace is not None:
         script = RandomGripScript.random(rng, scene, frames, pace=pace)
-    frequency = max_frequency(scene, state.x)
-    draw = RandomScene(
-        seed=0,
-        index=0,
-        scene=scene,
-        state=state,
-        script=script,
-        frames=frames,
-        words=f"{values.get('cloth.resolution', 'mesh')}, {values['bending.model']}, {scene.rate:g} Hz, {script.words}",
-        cost=reference_cost(ReferenceSystem(scene.model()), frequency, DURATION, windows=2),
-        frequency=frequency,
-        changes=changes,
-    )
+    kind = f"{values.get('cloth.resolution', 'mesh')}, {values['bending.model']}"
+    words = f"{kind}, {scene.rate:g} Hz, {script.words}"
+    draw = RandomScene(scene=scene, state=state, frames=frames, words=words, script=script, changes=changes)
     return evaluate_trial(draw, {**values, "changes": {str(frame): change for frame, change in changes.items()}})
 
 

@@ -265,19 +265,14 @@ def evaluate_contact_window(
                 for perturbs_velocity in (False, True)
             )
             later_amplification = max(later_amplification, *later_amplifications)
-    costliest = max(advances, key=lambda advance: (advance.flagged, advance.evaluations))
-    return Window(
+    return Window.of(
+        advances,
         first=first,
         frames=second,
         error=error,
         amplification=amplification,
         error_bound=tolerance * max(1.0, amplification, later_amplification),
         reference_error=max(largest_distance(a, b) for a, b in zip(exact, check, strict=True)),
-        flagged=sum(advance.flagged > 0 for advance in advances),
-        asleep=sum(advance.limited_by == "rest" for advance in advances),
-        limited_by=", ".join(sorted({advance.limited_by for advance in advances})),
-        reason=costliest.reason,
-        evaluations=sum(advance.evaluations for advance in advances),
         reference_evaluations=0,
         later_amplification=later_amplification,
     )

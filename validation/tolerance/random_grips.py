@@ -40,7 +40,7 @@ class GraspInterval:
 class RandomGripScript:
     """Grasp intervals of a scene."""
 
-    holds: tuple[GraspInterval, ...]
+    holds: tuple[GraspInterval, ...] = ()
 
     @classmethod
     def random(cls, rng: np.random.Generator, scene: Scene, frames: int, *, pace: float = 1.0) -> RandomGripScript:

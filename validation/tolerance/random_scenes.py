@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from collections.abc import Mapping
@@ -41,25 +42,28 @@ _CALM_FRACTION = 0.6
 _CALM_PACE = 0.15
 
 
-@attrs.frozen(kw_only=True, eq=False)
+@attrs.frozen(kw_only=True, eq=False, slots=False)
 class RandomScene:
     """Random scene with its initial state and gripper script."""
 
-    seed: int
-    index: int
     scene: Scene
     state: State
-    script: RandomGripScript
     #: Number of frames.
     frames: int
     #: Short description.
     words: str
+    script: RandomGripScript = attrs.field(factory=RandomGripScript)
+    seed: int = 0
+    index: int = 0
     #: Estimated cost of its evaluation, see `MAX_COST`.
-    cost: float
-    #: Highest frequency of the start, or its damping rate if that is higher [1/s].
-    frequency: float
+    cost: float = 0.0
     #: Changed parameters by the frame before which they change.
     changes: Mapping[int, dict[str, Any]] = attrs.field(factory=dict)
+
+    @functools.cached_property
+    def frequency(self) -> float:
+        """Highest frequency of the start, or its damping rate if that is higher [1/s]."""
+        return max_frequency(self.scene, self.state.x)
 
     @property
     def frames_per_second(self) -> int:
@@ -84,26 +88,18 @@ def draw_scene(seed: int, index: int) -> RandomScene:
     frames = max(round(scene.rate), round(duration * scene.rate))
     state = initial_state(rng, scene, 0.2 if calm else 1.0)
     script = RandomGripScript.random(rng, scene, frames, pace=_CALM_PACE if calm else 1.0)
-    system = ReferenceSystem(scene.model())
     description = ", ".join([*words, f"{scene.rate:g} Hz", f"{frames / scene.rate:.1f} s", script.words])
-    frequency = max_frequency(scene, state.x)
-    return RandomScene(
-        seed=seed,
-        index=index,
-        scene=scene,
-        state=state,
-        script=script,
-        frames=frames,
-        words=description,
-        cost=reference_cost(system, frequency, frames / scene.rate),
-        frequency=frequency,
+    draw = RandomScene(
+        scene=scene, state=state, frames=frames, words=description, script=script, seed=seed, index=index
     )
+    return with_cost(draw, windows=4)
 
 
-def reference_cost(system: ReferenceSystem, frequency: float, duration: float, *, windows: int = 4) -> float:
-    """Estimate the spring evaluations by the reference: the whole run and the windows, each twice."""
-    seconds = 2.0 * (duration + windows - 1)
-    return seconds * _STAGES * _STEPS_PER_RADIAN * frequency * system.evaluation_cost
+def with_cost(draw: RandomScene, *, windows: int) -> RandomScene:
+    """Return a scene with its estimated spring evaluations by the reference: the run and its windows, each twice."""
+    seconds = 2.0 * (draw.frames / draw.scene.rate + windows - 1)
+    evaluation_cost = ReferenceSystem(draw.scene.model()).evaluation_cost
+    return attrs.evolve(draw, cost=seconds * _STAGES * _STEPS_PER_RADIAN * draw.frequency * evaluation_cost)
 
 
 def max_frequency(scene: Scene, x: Array) -> float:

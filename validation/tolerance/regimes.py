@@ -18,11 +18,10 @@ import numpy as np
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
-from validation.case_pool import run_cases, show_progress
+from validation.case_pool import CasePool
 from validation.report import Report, Table
 from validation.tolerance.linear_motion import exact_positions
-from validation.tolerance.random_grips import RandomGripScript
-from validation.tolerance.random_scenes import RandomScene, max_frequency
+from validation.tolerance.random_scenes import RandomScene
 from validation.tolerance.recording import RecordedRun, record_run
 from validation.tolerance.windows import Window, evaluate_window, run_reference, unit_perturbations
 
@@ -183,18 +182,8 @@ def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
         "grippers": [""],
     }
     scene = Scene.from_parameters(values, files={"springs.yaml": json.dumps(regime.tables).encode()})
-    state = scene.starting_state()
-    return RandomScene(
-        seed=0,
-        index=0,
-        scene=scene,
-        state=state,
-        script=RandomGripScript(holds=()),
-        frames=round(regime.duration * regime.rate),
-        words=regime.name,
-        cost=0.0,
-        frequency=max_frequency(scene, state.x),
-    )
+    frames = round(regime.duration * regime.rate)
+    return RandomScene(scene=scene, state=scene.starting_state(), frames=frames, words=regime.name)
 
 
 @attrs.frozen
@@ -255,21 +244,19 @@ def _evaluate_pendulum(run: RecordedRun, tolerance: float, flagged: int) -> Regi
 
 def regimes(options: argparse.Namespace) -> Report:
     """Evaluate all regimes."""
-    from tqdm import tqdm
-
     report = Report("Error bound in fixed regimes", "python -m validation tolerance --regimes")
     cases = [(regime, tolerance) for regime in all_regimes() for tolerance in TOLERANCES]
     cases += [(regime, tolerance) for regime in pendulums() for tolerance in PENDULUM_TOLERANCES]
-    results: dict[tuple[str, float], RegimeResult] = {}
-    done_cases = run_cases(evaluate_regime, cases, workers=options.jobs, limit=options.limit)
-    for case_result in show_progress(done_cases, len(cases), "case"):
-        regime, tolerance = case_result.case
-        if case_result.result is None:
-            report.fail(f"{regime.name} at {tolerance:.0e} m: {case_result.trouble}")
-        else:
-            results[regime.name, tolerance] = result = case_result.result
-            summary = f"{result.ratio:.3g} of the error bound, g {result.growth:.3g}, {result.flagged} frames flagged"
-            tqdm.write(f"{regime.name} at {tolerance:.0e} m: error {result.error:.2g} m, {summary}")
+    done = CasePool(options.jobs, options.limit).report(
+        evaluate_regime,
+        cases,
+        report,
+        name=lambda case: f"{case[0].name} at {case[1]:.0e} m",
+        describe=lambda result: (
+            f"error {result.error:.2g} m, {result.ratio:.3g} of the error bound, g {result.growth:.3g}"
+        ),
+    )
+    results = {(regime.name, tolerance): result for (regime, tolerance), result in done}
     names = [regime.name for regime in all_regimes()]
     report.tables += [
         _table(
@@ -277,14 +264,15 @@ def regimes(options: argparse.Namespace) -> Report:
         ),
         _table("Error over the first second [m], ! if it does not fall with the tolerance", names, results, "error"),
     ]
-    minutes = Table("Undamped for a minute", ["what", "tolerance m", "error m", "g", "ratio", "flagged", "reference m"])
+    minutes = report.add_table(
+        "Undamped for a minute", ["what", "tolerance m", "error m", "g", "ratio", "flagged", "reference m"]
+    )
     for regime in pendulums():
         for tolerance in PENDULUM_TOLERANCES:
             result = results.get((regime.name, tolerance))
             if result:
                 numbers = [result.error, result.growth, result.ratio, result.flagged, result.reference]
                 minutes.rows.append([regime.name, tolerance, *numbers])
-    report.tables.append(minutes)
     violated = [(case_key, result) for case_key, result in results.items() if result.ratio > 1.0]
     points = [(name, tolerance) for name in names for tolerance in TOLERANCES]
     risen = [point for point in points if not _error_falls(*point, results)]
@@ -294,10 +282,8 @@ def regimes(options: argparse.Namespace) -> Report:
         f"{len(risen)} whose error is above both that of the next looser tolerance and a tenth of their own",
         f"largest error of the reference {max((result.reference for result in results.values()), default=0.0):.2g} m",
     ]
-    if violated:
-        report.fail(f"{len(violated)} regimes violate the error bound")
-    if risen:
-        report.fail(f"in {len(risen)} regimes the error does not fall with the tolerance")
+    report.require(not violated, f"{len(violated)} regimes violate the error bound")
+    report.require(not risen, f"in {len(risen)} regimes the error does not fall with the tolerance")
     return report
 
 

@@ -4,10 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from validation.tolerance.compiled_reference import (
@@ -64,6 +68,19 @@ class Window:
     reference_evaluations: int
     #: Amplification of perturbations that start later in it; 0 if it was not measured.
     later_amplification: float = 0.0
+
+    @classmethod
+    def of(cls, advances: Sequence[Advance], **values: Any) -> Window:
+        """Return a window with the step statistics of its frames and further values."""
+        costliest = max(advances, key=lambda advance: (advance.flagged, advance.evaluations))
+        return cls(
+            flagged=sum(advance.flagged > 0 for advance in advances),
+            asleep=sum(advance.limited_by == "rest" for advance in advances),
+            limited_by=", ".join(sorted({advance.limited_by for advance in advances})),
+            reason=costliest.reason,
+            evaluations=sum(advance.evaluations for advance in advances),
+            **values,
+        )
 
     @property
     def ratio_from_start(self) -> float:
@@ -301,19 +318,13 @@ def make_window(
     reference_error = max(largest_distance(a, b) for a, b in pairs)
     engine_positions = run.positions[first + 1 : first + 1 + frames]
     error = max(largest_distance(a, b) for a, b in zip(engine_positions, fine.positions[:frames], strict=True))
-    window_frames = run.frames[first : first + frames]
-    costliest = max(window_frames, key=lambda frame: (frame.advance.flagged, frame.advance.evaluations)).advance
-    return Window(
+    return Window.of(
+        [frame.advance for frame in run.frames[first : first + frames]],
         first=first,
         frames=frames,
         error=error,
         amplification=amplification,
         error_bound=tolerance * max(1.0, amplification),
         reference_error=reference_error,
-        flagged=sum(frame.advance.flagged > 0 for frame in window_frames),
-        asleep=sum(frame.advance.limited_by == "rest" for frame in window_frames),
-        limited_by=", ".join(sorted({frame.advance.limited_by for frame in window_frames})),
-        reason=costliest.reason,
-        evaluations=sum(frame.advance.evaluations for frame in window_frames),
         reference_evaluations=coarse.evaluations + fine.evaluations,
     )

@@ -15,7 +15,7 @@ from support.reference_runs import measure
 
 from cloth_sim_ros.physics.plan import thread_limit
 from cloth_sim_ros.scene.scene import Scene
-from validation.report import Plot, Report, Table
+from validation.report import Report, Table
 from validation.tolerance.baselines import SolverSetting, SolverTimeoutError, library_solvers, product_solvers
 from validation.tolerance.sweep import MAX_RESIDUAL
 
@@ -94,10 +94,6 @@ def run(options: argparse.Namespace) -> Report:
         if residual is not None and tolerance <= Scene().tolerance and not residual <= MAX_RESIDUAL:
             report.fail(f"{point.solver.name} {point.solver.setting}: energy residual {residual:.2g}")
     report.tables += [_all_runs(points), _comparison(points, report, scene.name)]
-    lines: dict[str, list[tuple[float, float]]] = {}
-    for point in points:
-        lines.setdefault(point.solver.name, []).append((point.error, point.median))
-    report.plots.append(Plot(f"Work-precision {scene.name}", "position error [m]", "wall time [s]", lines))
     return report
 
 
