@@ -38,6 +38,8 @@ unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_P
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE FASTRTPS_DEFAULT_PROFILES_FILE FASTDDS_DEFAULT_PROFILES_FILE
 unexport ROS_DISCOVERY_SERVER ROS_LOCALHOST_ONLY
 unexport ROS_SECURITY_ENABLE ROS_SECURITY_STRATEGY ROS_SECURITY_KEYSTORE ROS_SECURITY_ENCLAVE_OVERRIDE
+# Without Python's caches each of the tests' hundreds of processes compiles the package again.
+unexport PYTHONDONTWRITEBYTECODE
 ifeq ($(ROS_SECURITY_ENABLE),true)
 $(warning ROS_SECURITY_ENABLE is not passed on: the Fast DDS of ROS's wheels on PyPI is built without security)
 endif
@@ -55,7 +57,7 @@ help:
 run: $(DEMO) engine
 	@$(BIN)/python -m cloth_sim_ros.ros.demo $(ARGS)
 
-# A process a core; a file's tests stay together. ARGS="-n 0" runs them in one process.
+# A process a core and one more; a file's tests stay together. ARGS="-n 0" runs them in one process.
 test: $(DEV) engines
 	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 

@@ -233,7 +233,14 @@ SCENES: dict[str, dict[str, Any]] = {
     },
 }
 #: Fraction of the frames to run, for scenes with expensive frames.
-_FRAME_FRACTION = {"two threads": 0.2, "tight tolerance": 0.5, "friction, implicit": 0.25}
+_FRAME_FRACTION = {
+    "two threads": 0.2,
+    "tight tolerance": 0.5,
+    "friction, implicit": 0.25,
+    "implicit": 0.5,
+    "implicit fabric": 0.5,
+    "prescribed grip, implicit": 0.5,
+}
 #: Smallest number of frames of a whole motion; shorter runs contain only its beginning.
 _MIN_MOTION_FRAMES = 40
 #: Total displacement of obstacles [m]; they rotate as well.

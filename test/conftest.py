@@ -35,23 +35,25 @@ ROOT = Path(__file__).resolve().parent.parent
 
 #: Files whose tests take longest, most of them with few tests. Run first, they leave no process alone at the end.
 _SLOW_FILES = (
-    "test_pinch_features.py",
-    "test_ros_benchmarks.py",
-    "test_ros_restarts.py",
+    "test_ros_soak.py",
     "test_cpp.py",
+    "test_examples.py",
+    "test_ros_restarts.py",
+    "test_fit.py",
+    "test_ros_benchmarks.py",
     "test_bits.py",
+    "test_ros_bad_input.py",
     "test_ros_stalled_subscribers.py",
     "test_engine_build.py",
-    "test_ros_bad_input.py",
-    "test_fit.py",
+    "test_ros_simulation_interfaces.py",
     "test_docs.py",
+    "test_hostile_files.py",
+    "test_ros_stopping.py",
+    "test_ros_cameras.py",
     "test_peers.py",
-    "test_feature_law.py",
-    "test_contact_control.py",
-    "test_contact_runs.py",
-    "test_ros_standing_clock.py",
+    "test_layers.py",
     "test_working_directory.py",
-    "test_ros_soak.py",
+    "test_contact_control.py",
     "test_study_kills.py",
     "test_session_kill.py",
 )
@@ -62,6 +64,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(
         key=lambda item: _SLOW_FILES.index(item.path.name) if item.path.name in _SLOW_FILES else len(_SLOW_FILES)
     )
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Return one worker more than processors, because tests of nodes and commands wait for other processes."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 # Without a folder at the top of the repository there is nothing that its tests could measure.

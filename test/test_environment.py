@@ -210,3 +210,12 @@ def test_moved_environment_or_missing_python_is_not_sound(project: Path, monkeyp
     (project / "env" / "made_in").write_text(origin)
     (project / "env" / "bin" / "python").unlink()
     assert not scripts["is_sound"](project / "env")
+
+
+def test_make_lets_python_cache_compiled_files() -> None:
+    done = subprocess.run(
+        ["make", "--no-print-directory", "-f", "Makefile", "-f", "-", "print-cache"],
+        cwd=ROOT, input='print-cache:\n\t@echo "[$${PYTHONDONTWRITEBYTECODE}]"\n', text=True, capture_output=True,
+        env={"PATH": "/usr/bin:/bin", "PYTHONDONTWRITEBYTECODE": "1"}, check=True,
+    )  # fmt: skip
+    assert done.stdout.splitlines()[-1] == "[]"

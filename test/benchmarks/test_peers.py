@@ -7,13 +7,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
 import pytest
-from support.problems import corner_drop, curtain
+from support.problems import Problem, corner_drop, curtain
+from support.reference import Reference
 
 from benchmarks.__main__ import main
 from benchmarks.peers import environment as peer_environment
@@ -23,6 +25,7 @@ from benchmarks.peers import throughput as peers
 from benchmarks.peers.environment import EnvironmentUnusable
 from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
 from benchmarks.peers.solvers import PEERS, REQUIREMENTS
+from benchmarks.speed import curtain as speed_curtain
 
 # Its sheet grows with every step above the stability limit; variants are its faults.
 ENGINE = """
@@ -58,6 +61,22 @@ class Engine:
     def remarks(self):
         return ["was watched"]
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_reference() -> Iterator[None]:
+    """Solve each scene's reference once for all tests of this file."""
+    solve, solved = speed_curtain.trusted, {}
+
+    def trusted(problem: Problem) -> Reference:
+        key = problem.name, problem.frames
+        if key not in solved:
+            solved[key] = solve(problem)
+        return solved[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(speed_curtain, "trusted", trusted)
+        yield
 
 
 @pytest.fixture(scope="module")

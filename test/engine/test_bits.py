@@ -121,13 +121,13 @@ def test_first_differing_frame_is_reported(capsys: pytest.CaptureFixture[str], m
     assert "  one: there differs from frame 2 on" in printed
 
 
-@pytest.fixture
-def replay(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The program that makes the calls of a trace again, on this machine's processor."""
     compiler = shutil.which("g++")
     if compiler is None:
         pytest.skip("there is no g++")
-    program = tmp_path / "replay"
+    program = tmp_path_factory.mktemp("replay") / "replay"
     source = ROOT / "scripts" / "bits_replay.cpp"
     subprocess.run(
         [compiler, "-std=c++20", "-O1", "-Wall", "-Wextra", "-Werror", source, "-o", program, "-ldl"], check=True

@@ -20,7 +20,7 @@ from cloth_sim_ros.engine.instruction_set import libraries
 
 SANITIZE = "libasan" in os.environ.get("LD_PRELOAD", "")
 NAMES = [Path(os.environ["CLOTH_SIM_ROS_ENGINE"]).stem[1:]] if SANITIZE else libraries()
-#: A build with the sanitizers takes a minute of each of two cores.
+#: A build with the sanitizers takes minutes.
 pytestmark = pytest.mark.timeout(900)
 ENVIRONMENT = {**cpp_tests.ENVIRONMENT, "ASAN_OPTIONS": "detect_leaks=0"}
 

@@ -20,27 +20,34 @@ COMMANDS = {
 }
 #: Without it the viewer also says that there is no screen.
 ARGUMENTS = {"cloth_viewer": ["--connect", "rerun+http://127.0.0.1:1/proxy"]}
+LOG_REMEDY = "set ROS_LOG_DIR to a folder that can be written"
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_unwritable_log_folder_gives_one_sentence(
-    start_process: Callable[..., Any], tmp_path: Path, command: str
-) -> None:
+def test_no_log_folder_gives_one_sentence(start_process: Callable[..., Any], command: str) -> None:
+    variables = {"HOME": "", "ROS_LOG_DIR": "", "ROS_HOME": ""}
+    process = start_process(["-m", COMMANDS[command], *ARGUMENTS.get(command, [])], env=variables)
+    assert process.wait() == 1
+    (line,) = process.output.strip().splitlines()
+    assert line.startswith(f"{command}: HOME is not set, so the log has no folder ~/.ros/log")
+    assert line.endswith(LOG_REMEDY)
+
+
+def test_unwritable_log_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     below = str(tmp_path / "file" / "below")
     for variables, words in (
-        ({"HOME": "", "ROS_LOG_DIR": "", "ROS_HOME": ""}, "HOME is not set, so the log has no folder ~/.ros/log"),
+        ({"HOME": ""}, "HOME is not set, so the log has no folder ~/.ros/log"),
         ({"HOME": below, "ROS_LOG_DIR": "", "ROS_HOME": ""}, f"the log's folder {below}/.ros/log can't be made"),
         ({"ROS_LOG_DIR": below}, f"the log's folder {below} can't be made, Not a directory"),
         ({"ROS_LOG_DIR": str(tmp_path / "file")}, f"the log's folder {tmp_path / 'file'} can't be made, File exists"),
         ({"ROS_LOG_DIR": "", "ROS_HOME": below}, f"the log's folder {below}/log can't be made"),
     ):
-        process = start_process(["-m", COMMANDS[command], *ARGUMENTS.get(command, [])], env=variables)
-        assert process.wait() == 1
-        (line,) = process.output.strip().splitlines()
-        assert line.startswith(f"{command}: {words}")
-        assert line.endswith("set ROS_LOG_DIR to a folder that can be written")
+        with pytest.raises(ArgumentsError) as refused:
+            check_environment(variables, [])
+        assert str(refused.value).startswith(words)
+        assert str(refused.value).endswith(LOG_REMEDY)
 
 
 def test_missing_log_folder_is_created(tmp_path: Path) -> None:

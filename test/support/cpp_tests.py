@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build of the C++ unit tests: one program for each instruction set, in build/cpp_tests.
 
-An object is compiled again if its command, the compiler or the content of a file that it includes has changed.
+All files with tests are one translation unit, because headers and templates take most of a file's compile time. An
+object is compiled again if its command, the compiler or the content of a file that it includes has changed.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import hashlib
 import os
 import subprocess
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from cloth_sim_ros.engine import build
@@ -41,33 +41,32 @@ def build_program(name: str, *, sanitize: bool = False) -> Path:
     """
     compiler = build.find_compiler()
     version = build.describe(compiler)
-    folder = FOLDER / (f"{name}_sanitize" if sanitize else name)
+    suffix = "_sanitize" if sanitize else ""
+    folder = FOLDER / f"{name}{suffix}"
     folder.mkdir(parents=True, exist_ok=True)
     common = [*compiler, *LANGUAGE, *(build.SANITIZED if sanitize else ["-O1"])]
     checked = [*build.ARITHMETIC, *build.INSTRUCTION_SETS[name], *build.WARNINGS, *([] if sanitize else ["-Werror"])]
+    unit, program = folder / "unit.cpp", folder / "tests"
     # The main program has nothing of the engine, so it needs none of these flags and no optimization.
-    commands = {name: [*common, *checked] for name in test_files()} | {"main": [*common, "-O0"]}
-
-    def compile_one(name: str) -> bool:
-        return _compile([*commands[name], str(SOURCES / f"{name}.cpp")], version, folder / f"{name}.o")
-
-    with build.locked(folder), ThreadPoolExecutor(build.MAX_COMPILERS) as pool:
-        changed = list(pool.map(compile_one, sorted(commands, key="main".__ne__)))
-        program = folder / "tests"
-        if any(changed) or not program.exists():
-            _run([*common, *(str(folder / f"{name}.o") for name in commands), "-o", str(program)])
+    objects = [FOLDER / f"main{suffix}.o", folder / "unit.o"]
+    with build.locked(FOLDER):
+        _compile([*common, "-O0", str(SOURCES / "main.cpp")], version, objects[0])
+    with build.locked(folder):
+        unit.write_text("".join(f'#include "{name}.cpp"\n' for name in test_files()))
+        _compile([*common, *checked, str(unit)], version, objects[1])
+        if not program.exists() or program.stat().st_mtime_ns < max(path.stat().st_mtime_ns for path in objects):
+            _run([*common, *map(str, objects), "-o", str(program)])
     return program
 
 
-def _compile(command: Sequence[str], version: str, target: Path) -> bool:
-    """Compile an object unless it is up to date; return whether it was compiled."""
+def _compile(command: Sequence[str], version: str, target: Path) -> None:
+    """Compile an object unless it is up to date."""
     rule, record = target.with_suffix(".d"), target.with_suffix(".fingerprint")
     if target.exists() and record.exists() and record.read_text() == _fingerprint(command, version, rule):
-        return False
+        return
     record.unlink(missing_ok=True)
     _run([*command, "-c", "-MMD", "-MF", str(rule), "-o", str(target)])
     record.write_text(_fingerprint(command, version, rule))
-    return True
 
 
 def _fingerprint(command: Sequence[str], version: str, rule: Path) -> str:

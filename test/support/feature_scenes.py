@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -94,15 +96,17 @@ def energy(obstacle, path, triangles, x, masses, thickness=THICKNESS):
     return masses.mean() * 0.5 * U**2 * b
 
 
-def facing_scene(obstacle, seed=0, *, gap=0.25, damping=10.0, path=None, anchors=()):
-    """Return a sheet near an obstacle: the least gap of its points and edges is a fraction of the thickness.
+def facing_sheet(seed):
+    """Return triangles, positions at rest, positions (n, 3) and masses of a small rough sheet."""
+    return self_scenes.sheets(0.0, rows=4, columns=4, seed=seed, rough=1e-3)
 
-    Returns:
-        The plan of this contact alone, triangles, positions (n, 3), masses and the obstacle's path.
-    """
+
+@cache
+def facing_positions(obstacle, seed, gap, path_bytes):
+    """Return positions (n, 3) of `facing_scene`, which the search for the gap makes expensive."""
+    path = np.frombuffer(path_bytes)
     rng = np.random.default_rng(seed)
-    triangles, rest_positions, x, masses = self_scenes.sheets(0.0, rows=4, columns=4, seed=seed, rough=1e-3)
-    path = moving(seed) if path is None else path
+    triangles, _, x, _ = facing_sheet(seed)
     position = laws.pose(path, TIME)[0]
     # Towards a random side of the obstacle.
     direction = rng.normal(size=3)
@@ -117,7 +121,18 @@ def facing_scene(obstacle, seed=0, *, gap=0.25, damping=10.0, path=None, anchors
         high -= step
         if abs(step) < 1e-9:
             break
-    x = flat + high * direction
+    return flat + high * direction
+
+
+def facing_scene(obstacle, seed=0, *, gap=0.25, damping=10.0, path=None, anchors=()):
+    """Return a sheet near an obstacle: the least gap of its points and edges is a fraction of the thickness.
+
+    Returns:
+        The plan of this contact alone, triangles, positions (n, 3), masses and the obstacle's path.
+    """
+    path = moving(seed) if path is None else path
+    triangles, rest_positions, _, masses = facing_sheet(seed)
+    x = facing_positions(obstacle, seed, gap, path.tobytes()).copy()
     contact_force = Contact(
         [obstacle],
         thickness=THICKNESS,

@@ -195,12 +195,17 @@ def _link(folder: Path, roots: Sequence[Path], target: Path, libraries: Sequence
     packages = [path for path in (wheels / "include").iterdir() if path.is_dir() and not path.name.startswith("python")]
     generated = [path for path in folder.iterdir() if path.name.startswith("rosidl")]
     includes = [*generated, *packages, wheels / "include", sysconfig.get_paths()["include"], _numpy_include()]
-    kinds = {".c": ["-x", "c"], ".cpp": ["-x", "c++", "-std=c++17"]}
     objects = []
-    for path in sorted(path for root in roots for path in root.rglob("*") if path.suffix in kinds):
-        objects.append(str(path.with_suffix(".o")))
-        flags = ["-fPIC", "-O0", "-w", *(f"-I{include}" for include in includes), "-c", *kinds[path.suffix]]
-        subprocess.run([*compiler, *flags, str(path), "-o", objects[-1]], check=True)
+    for suffix, kind in {".c": ["-x", "c"], ".cpp": ["-x", "c++", "-std=c++17"]}.items():
+        paths = sorted(path for root in roots for path in root.rglob(f"*{suffix}"))
+        # One unit, because headers take most of the time. Descriptions define the same names for a common type.
+        units = [path for path in paths if path.stem.endswith("__description")]
+        unit = folder / f"{target.stem}{suffix}"
+        unit.write_text("".join(f'#include "{path}"\n' for path in paths if path not in units))
+        for path in [*units, unit]:
+            objects.append(str(path.with_suffix(f"{suffix}.o")))
+            flags = ["-fPIC", "-O0", "-w", *(f"-I{include}" for include in includes), "-c", *kind]
+            subprocess.run([*compiler, *flags, str(path), "-o", objects[-1]], check=True)
     wheel_libraries = [str(path) for path in (wheels / "lib").glob("*.so")]
     search = ["-Wl,--no-as-needed", f"-Wl,-rpath,$ORIGIN:{wheels / 'lib'}"]
     command = [*compiler, "-shared", *objects, *search, *libraries, "-Wl,--as-needed", *wheel_libraries, *options]

@@ -10,16 +10,6 @@ namespace cloth::tests {
 
 using namespace contact;
 
-namespace {
-
-Pairs pairs_of(const PairList& list) {
-    Pairs pairs;
-    for (std::size_t k = 0; k < list.size(); ++k) pairs.emplace_back(list.first[k], list.second[k]);
-    return pairs;
-}
-
-}  // namespace
-
 TEST_CASE("the pair lists are those of all pairs") {
     Random random;
     for (const Index rows : {2, 3, 8})

@@ -6,7 +6,7 @@
 
 #include "samples.hpp"
 
-namespace cloth::tests {
+namespace cloth::tests::ordering {
 
 namespace {
 
@@ -88,4 +88,4 @@ TEST_CASE("the order depends on the set of pairs alone") {
     CHECK(order_of(30, pairs) == order_of(30, changed));
 }
 
-}  // namespace cloth::tests
+}  // namespace cloth::tests::ordering

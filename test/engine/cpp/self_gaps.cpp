@@ -6,7 +6,7 @@
 #include "contact/self_run.hpp"
 #include "sheets.hpp"
 
-namespace cloth::tests {
+namespace cloth::tests::self_gaps {
 
 using namespace contact;
 
@@ -268,4 +268,4 @@ TEST_CASE("edges that alone come near are found in time") {
     }
 }
 
-}  // namespace cloth::tests
+}  // namespace cloth::tests::self_gaps

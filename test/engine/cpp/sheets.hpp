@@ -8,15 +8,22 @@
 #include <utility>
 #include <vector>
 
+#include "contact/broad_phase.hpp"
 #include "contact/primitives.hpp"
 #include "contact/surface.hpp"
 #include "samples.hpp"
 
 namespace cloth::tests {
 
-using contact::Index, contact::Surface, contact::near_segments, contact::near_triangle;
+using contact::Index, contact::PairList, contact::Surface, contact::near_segments, contact::near_triangle;
 
 using Pairs = std::vector<std::pair<Index, Index>>;
+
+inline Pairs pairs_of(const PairList& list) {
+    Pairs pairs;
+    for (std::size_t k = 0; k < list.size(); ++k) pairs.emplace_back(list.first[k], list.second[k]);
+    return pairs;
+}
 
 /// A sheet of triangles, and positions of its particles as quads [m].
 struct Sheet {

@@ -35,11 +35,6 @@ plan::Pose pose_at_center(Random& random) {
     pose.velocity = random.vector();
     return pose;
 }
-Pairs pairs_of(const PairList& list) {
-    Pairs pairs;
-    for (std::size_t k = 0; k < list.size(); ++k) pairs.emplace_back(list.first[k], list.second[k]);
-    return pairs;
-}
 
 }  // namespace
 
