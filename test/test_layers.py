@@ -9,6 +9,7 @@ fresh interpreter.
 from __future__ import annotations
 
 import ast
+import functools
 import json
 import subprocess
 import sys
@@ -198,16 +199,17 @@ def test_import_of_the_package_loads_few_modules() -> None:
     assert not {room for room in SUBPACKAGES if f"cloth_sim_ros.{room}" in loaded}
 
 
-def imports_of(path: Path) -> set[str]:
+@functools.cache
+def imports_of(path: Path) -> frozenset[str]:
     """Return the full names of a file's imports, lazy imports included."""
-    imported = set()
+    imported: set[str] = set()
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports name their module in full"
             imported |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return imported
+    return frozenset(imported)
 
 
 @pytest.mark.parametrize("folder", MEASURING_FOLDERS)
