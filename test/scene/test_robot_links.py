@@ -349,6 +349,17 @@ def test_pads_have_the_friction_of_grippers_and_stop() -> None:
     assert stops.stopped(positions).tolist() == positions.tolist()
 
 
+def test_held_pads_need_three_forward_kinematics(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
+    stops, calls, poses = PadStops(scene, links), [], links.poses
+    for finger in (0.03, *np.zeros(20)):
+        stopped = stops.stopped(np.array([0.2, 0.3, 0.4, finger]))
+    monkeypatch.setattr(links, "poses", lambda positions: calls.append(positions) or poses(positions))
+    # The arm goes on, and the command keeps the fingers closed.
+    assert stops.stopped(np.array([0.21, 0.3, 0.4, 0.0]))[3] == stopped[3]
+    assert len(calls) == 3
+
+
 def test_pads_stop_at_the_thickness_of_the_present_scene() -> None:
     scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
     stops = PadStops(scene, links)

@@ -62,28 +62,39 @@ class PadStops:
         if not self._pairs:
             return positions
         result = positions.copy()
+        poses = self._links.poses(result)
         for a, b, joints in self._pairs:
-            if self._gap(a, b, result) >= self._min_gap:
+            if self._gap(a, b, poses) >= self._min_gap:
                 continue
             if self._accepted is None:
                 break
             open_positions = result.copy()
             open_positions[joints] = self._accepted[joints]
-            low, high = 0.0, 1.0
-            for _ in range(_BISECTIONS):
-                middle = 0.5 * (low + high)
-                trial = open_positions + middle * (result - open_positions)
-                low, high = (middle, high) if self._gap(a, b, trial) >= self._min_gap else (low, middle)
-            result = open_positions + low * (result - open_positions)
+            result = open_positions + self._fraction(a, b, open_positions, result) * (result - open_positions)
+            poses = self._links.poses(result)
         self._accepted = result
         return result
+
+    def _fraction(self, a: int, b: int, start: Array, end: Array) -> float:
+        """Return the fraction of a step of the joints at which two pads stop."""
+
+        def is_open(fraction: float) -> bool:
+            return self._gap(a, b, self._links.poses(start + fraction * (end - start))) >= self._min_gap
+
+        low, high = 0.0, 1.0
+        # Closed fingers stay at their stop in most frames.
+        if not is_open(0.5**_BISECTIONS):
+            return low
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if is_open(middle) else (low, middle)
+        return low
 
     def _features_of_pads(self) -> dict[int, ObstacleFeatures]:
         return {k: obstacle_features(solid, self._min_gap) for k, solid in self._solids.items()}
 
-    def _gap(self, a: int, b: int, positions: Array) -> float:
-        """Return the least distance of the points of one pad from the other [m]."""
-        poses = self._links.poses(positions)
+    def _gap(self, a: int, b: int, poses: Array) -> float:
+        """Return the least distance of the points of one pad from the other [m] at poses (count, 7) of the links."""
         solid_a, solid_b = self._solids[a], self._solids[b]
         features_a, features_b = self._features[a], self._features[b]
         offset = poses[a, :3] - poses[b, :3]
