@@ -360,6 +360,50 @@ def test_held_pads_need_three_forward_kinematics(monkeypatch: pytest.MonkeyPatch
     assert len(calls) == 3
 
 
+def sliding_fingers(*joints: tuple[str, str, str]) -> str:
+    """Return a robot whose links slide along y: name, parent and origin of each. They are pads of 2 cm."""
+    box = '<collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision>'
+    links = [
+        f'<link name="{name}">{box}</link><joint name="{name}_joint" type="prismatic"><parent link="{parent}"/>'
+        f'<child link="{name}"/><origin xyz="{origin}"/><axis xyz="0 1 0"/><limit lower="-1" upper="1"/></joint>'
+        for name, parent, origin in joints
+    ]
+    return f'<robot name="r"><link name="stand"/>{"".join(links)}</robot>'
+
+
+def test_pads_of_two_hands_leave_the_arms_free() -> None:
+    """Each arm slides towards the other one; the pads of the two hands meet, and both arms go on."""
+    arms = [(side, "stand", f"0 {y} 0") for side, y in (("left", 0.2), ("right", -0.2))]
+    fingers = [(f"{side}_{k}", side, f"0 {y} 0.1") for side in ("left", "right") for k, y in enumerate((0.02, -0.02))]
+    pads = [name for name, _, _ in fingers]
+    scene, links = robot_scene(
+        sliding_fingers(*arms, *fingers), {"robot.position": [2.0, 0.0, 0.0], "robot.pads": pads}
+    )
+    stops = PadStops(scene, links)
+    index = {name: k for k, name in enumerate(links.joint_names)}
+    positions = np.zeros(len(index))
+    stops.stopped(positions)
+    positions[index["left_joint"]], positions[index["right_joint"]] = -0.17, 0.17
+    assert stops.stopped(positions).tolist() == positions.tolist()
+    # Fingers of one hand still stop.
+    positions[index["left_0_joint"]] = -0.02
+    assert -0.02 < stops.stopped(positions)[index["left_0_joint"]] < -0.01
+
+
+def test_pads_of_one_finger_leave_its_joints_free() -> None:
+    joints = [("near", "stand", "0 0.05 0"), ("tip", "near", "0 0 0.02"), ("thumb", "stand", "0 -0.05 0")]
+    values = {"robot.position": [2.0, 0.0, 0.0], "robot.pads": ["near", "tip", "thumb"]}
+    scene, links = robot_scene(sliding_fingers(*joints), values)
+    stops, index = PadStops(scene, links), links.joint_names.index("tip_joint")
+    positions = np.zeros(3)
+    stops.stopped(positions)
+    positions[index] = 0.01
+    assert stops.stopped(positions).tolist() == positions.tolist()
+    # The finger still stops before the thumb.
+    positions[links.joint_names.index("near_joint")] = -0.1
+    assert stops.stopped(positions)[links.joint_names.index("near_joint")] > -0.08
+
+
 def test_pads_stop_at_the_thickness_of_the_present_scene() -> None:
     scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
     stops = PadStops(scene, links)
