@@ -373,8 +373,8 @@ def sliding_fingers(*joints: tuple[str, str, str]) -> str:
 
 def test_pads_of_two_hands_leave_the_arms_free() -> None:
     """Each arm slides towards the other one; the pads of the two hands meet, and both arms go on."""
-    arms = [(side, "stand", f"0 {y} 0") for side, y in (("left", 0.2), ("right", -0.2))]
-    fingers = [(f"{side}_{k}", side, f"0 {y} 0.1") for side in ("left", "right") for k, y in enumerate((0.02, -0.02))]
+    arms = [(name, "stand", f"0 {y} 0") for name, y in (("left", 0.2), ("right", -0.2))]
+    fingers = [(f"{arm}_{k}", arm, f"0 {y} 0.1") for arm in ("left", "right") for k, y in enumerate((0.02, -0.02))]
     pads = [name for name, _, _ in fingers]
     scene, links = robot_scene(
         sliding_fingers(*arms, *fingers), {"robot.position": [2.0, 0.0, 0.0], "robot.pads": pads}
