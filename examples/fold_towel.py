@@ -1,48 +1,33 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Joint states of the arm of config/robot_fold.yaml: it takes the towel's edge, and folds the towel.
+"""The arm of config/robot_fold.yaml takes the towel's edge, and folds the towel.
 
 Start the cloth first, as docs/tutorials/robot_fold.md says, then this. The option --slower 3 triples all times.
 """
 
-import argparse
-import time
-from pathlib import Path
+import numpy as np
+from arm_path import arm_path
+from arm_states import publish
 
-import rclpy
-from fold_path import WAYPOINTS, path
-from sensor_msgs.msg import JointState
+#: Time [s]; middle of the pads x, z [m], y = 0; angle of the hand from upwards to the left [deg]; opening [m].
+WAYPOINTS = np.array([
+    (0.0, 0.115, -0.12, 0.0, 0.035),
+    (1.0, 0.115, -0.12, 0.0, 0.035),
+    (2.0, 0.115, -0.040, 0.0, 0.035),
+    (3.0, 0.115, -0.040, 0.0, 0.0),
+    (5.0, 0.16, 0.05, 90.0, 0.0),
+    (7.5, 0.05, 0.14, 150.0, 0.0),
+    (9.0, -0.06, 0.12, 180.0, 0.0),
+    (10.5, -0.12, 0.045, 180.0, 0.0),
+    (11.5, -0.12, 0.045, 180.0, 0.025),
+    (13.0, -0.12, 0.16, 180.0, 0.025),
+])  # fmt: skip
 
-from cloth_sim_ros import Scene
-from cloth_sim_ros.scene.parameters import parameter_file
-from cloth_sim_ros.scene.robot.links import scene_with_links, without_links
 
-CONFIG = Path(__file__).resolve().parent.parent / "config"
-
-
-def main() -> None:
-    """Publish 200 joint states a second."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--slower", type=float, default=1.0, help="factor of all times")
-    slower = parser.parse_args().slower
-    values = parameter_file.read(CONFIG / "robot_fold.yaml", strict=True)
-    alone = Scene.from_parameters(without_links(values), folder=CONFIG)
-    _, links = scene_with_links(alone, values, folder=CONFIG)
-    joints = path(links)
-    rclpy.init()
-    node = rclpy.create_node("my_arm")
-    states = node.create_publisher(JointState, "/joint_states", 10)
-    while not states.get_subscription_count():  # the cloth waits for the first state
-        time.sleep(0.1)
-    start = time.monotonic()
-    while (t := (time.monotonic() - start) / slower) < WAYPOINTS[-1, 0]:
-        message = JointState(name=list(links.joint_names), position=joints(t).tolist())
-        message.header.stamp = node.get_clock().now().to_msg()
-        states.publish(message)
-        time.sleep(0.005)
-    print("the arm has folded the towel", flush=True)
-    rclpy.shutdown()
+def path(links):
+    """Return the joints' positions over time: [rad], and [m] for the finger."""
+    return arm_path(links, WAYPOINTS)
 
 
 if __name__ == "__main__":
-    main()
+    publish("robot_fold.yaml", path, "the arm has folded the towel")

@@ -7,8 +7,8 @@ Blocks of bash or Python are run in order from the clone's top. An invisible com
 <!-- output -->                 output of the block before it; a line "..." stands for any lines.
 <!-- output: numbers vary -->   the same, with each number standing for any number.
 <!-- file: NAME -->             content of a file.
-<!-- background: TEXT -->       runs in the background during the rest of the page, once it has printed the text. It
-                                then gets SIGINT and must end with status 0.
+<!-- background: TEXT -->       runs in the background, once it has printed the text, until the page's next such block
+                                or its end. It then gets SIGINT and must end with status 0.
 <!-- skip: REASON -->           not run: it needs more than a machine with Python, make, git and a compiler.
 
 Any other block is an error, and so is a command that fails.
@@ -159,6 +159,13 @@ class Clone:
                 yield f"what ran in the background ended with status {status}\n{log.read_text()[-4000:]}"
         self._background.clear()
 
+    def report_background(self, page: str) -> int:
+        """End processes in the background and report their faults; return the number of faults."""
+        faults = list(self.end_background())
+        for fault in faults:
+            report(f"WRONG {page}: {fault}")
+        return len(faults)
+
     def _begin(self, block: Block) -> str:
         log = self._logs / f"{len(self._background)}.log"
         with log.open("w") as stream:
@@ -209,14 +216,14 @@ def main() -> int:
                     report(f"skipped   {title} ({block.words or 'left out'})")
                     continue
                 start, run = time.monotonic(), run + 1
+                if block.mark == "background":
+                    wrong += clone.report_background(name)
                 fault = clone.run(block)
                 wrong += bool(fault)
                 report(f"{'WRONG' if fault else 'ok':5s} {time.monotonic() - start:6.1f} s  {title}")
                 if fault:
                     report(fault)
-            for fault in clone.end_background():
-                wrong += 1
-                report(f"WRONG {name}: {fault}")
+            wrong += clone.report_background(name)
         minutes, seconds = divmod(round(time.monotonic() - begun), 60)
         report(f"{run} blocks run in {minutes} min {seconds} s, {wrong} wrong, {skipped} skipped")
     return 1 if wrong else 0

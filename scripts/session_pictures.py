@@ -1,12 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes pictures of docs/images: six sessions, simulated, recorded, and painted by `cloth_replay`.
+"""Makes pictures of docs/images: nine sessions, simulated, recorded, and painted by `cloth_replay`.
 
 .venv/bin/python scripts/session_pictures.py [name ...]
 """
 
 from __future__ import annotations
 
+import importlib
+import itertools
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -17,8 +19,9 @@ import attrs
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "test"))
+sys.path[:0] = [str(ROOT / "test"), str(ROOT / "examples")]
 
+from support.arm_examples import START, arm_events, arm_scene  # type: ignore[import-not-found]  # noqa: E402
 from support.session_maker import SessionMaker, carried_corner  # type: ignore[import-not-found]  # noqa: E402
 
 from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
@@ -127,6 +130,14 @@ PICTURES = {
 }
 
 
+#: Example, and time of its path [s], for the picture of each parameter file with arms.
+ARMS = {
+    "robot_fold": ("fold_towel", 10.0),
+    "robot_drape": ("drape_towel", 11.0),
+    "robot_lift": ("lift_towel", 9.0),
+}
+
+
 def _smooth(progress: float) -> float:
     progress = float(np.clip(progress, 0.0, 1.0))
     return progress * progress * (3.0 - 2.0 * progress)
@@ -163,6 +174,25 @@ def paint_uncertain(name: str) -> int:
         return cloth_replay([str(session), "--screenshot", str(out), "--at", "1.9", "--size", "1280x760"])
 
 
+def paint_arms(name: str) -> int:
+    """Play and paint an example of arms; return the exit status of `cloth_replay`."""
+    example, at = ARMS[name]
+    scene, links, joints = arm_scene(importlib.import_module(example), f"{name}.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        maker = SessionMaker(Path(folder), scene, stem=name)
+        for events in itertools.islice(arm_events(scene, links, joints), round((at - START) * scene.rate)):
+            maker.add(events)
+        out = ROOT / "docs" / "images" / f"{name}.png"
+        return cloth_replay([str(maker.finish()), "--screenshot", str(out), "--size", "1280x760"])
+
+
+def painter(name: str) -> Callable[[str], int]:
+    """Return the function that paints the picture of a name."""
+    if name == "uncertain":
+        return paint_uncertain
+    return paint_arms if name in ARMS else paint
+
+
 if __name__ == "__main__":
-    names = sys.argv[1:] or [*PICTURES, "uncertain"]
-    sys.exit(max(paint_uncertain(name) if name == "uncertain" else paint(name) for name in names))
+    names = sys.argv[1:] or [*PICTURES, "uncertain", *ARMS]
+    sys.exit(max(painter(name)(name) for name in names))

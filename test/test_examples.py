@@ -173,58 +173,109 @@ def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.Mon
     assert simulation.positions[:, 0].max() > 0.25 + 0.7 * (pulled - closed)
 
 
+def play_arms(example: Any, config: str) -> tuple[Simulation, Any, Any]:
+    """Play an example of arms on its scene; return the cloth at the end, the links and their joints over time."""
+    import numpy as np
+    from support.arm_examples import START, arm_events, arm_scene
+
+    scene, links, joints = arm_scene(example, config)
+    assert not links.notes
+    assert (
+        np.abs(joints(np.arange(START, joints.x[-1], scene.period), 1)).max() < 2.2
+    )  # the slowest joint's limit [rad/s]
+    simulation = Simulation(scene)
+    for events in arm_events(scene, links, joints):
+        assert not simulation.advance(events).stopped
+    return simulation, links, joints
+
+
 def test_arm_of_seven_joints_folds_the_towel(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy")
     import numpy as np
 
-    from cloth_sim_ros import MoveObstacles
-    from cloth_sim_ros.scene.parameters import parameter_file
-    from cloth_sim_ros.scene.robot.links import add_links, with_poses, without_links
-    from cloth_sim_ros.scene.robot.pad_stops import PadStops
-
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
-    assert (ROOT / "examples" / "fold_path.py").exists()
-    import fold_path
+    assert all((ROOT / "examples" / name).exists() for name in ("arm_path.py", "arm_states.py"))
+    import fold_towel
 
-    values = parameter_file.read(ROOT / "config" / "robot_fold.yaml", strict=True)
-    alone = Scene.from_parameters(without_links(values), folder=ROOT / "config")
-    description = (ROOT / "config" / "arm_7.urdf").read_bytes()
-    extended, files, links = add_links(alone, values, description, folder=ROOT / "config")
-    joints = fold_path.path(links)
-    times = np.arange(1.0, fold_path.WAYPOINTS[-1, 0], 1.0 / 60.0)
-    assert np.abs(joints(times, 1)).max() < 2.2  # the slowest joint's limit [rad/s]
-    scene = Scene.from_parameters(with_poses(extended, links, links.poses(joints(0.0))), files=files)
-    simulation, stops = Simulation(scene), PadStops(scene, links)
-    right, left = (simulation.positions[:, 0] * sign > 0.149 for sign in (1.0, -1.0))
-    for t in times:
-        poses = links.poses(stops.stopped(joints(t)))
-        assert not simulation.advance([MoveObstacles(links.names, poses)]).stopped
+    simulation, _, _ = play_arms(fold_towel, "robot_fold.yaml")
+    start = simulation.scene.initial_positions()
+    right, left = (start[:, 0] * sign > 0.149 for sign in (1.0, -1.0))
     # One edge lies on the other one, and nobody holds it.
     edges = [simulation.positions[edge].mean(axis=0) for edge in (right, left)]
     assert abs(edges[0] - edges[1])[:2].max() < 0.03
-    assert edges[0][2] > edges[1][2] + 0.5 * scene.contact.thickness
+    assert edges[0][2] > edges[1][2] + 0.5 * simulation.scene.contact.thickness
     assert np.abs(simulation.velocities).max() < 0.2
 
 
-def test_fold_towel_publishes_the_path(
-    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+def test_arm_of_seven_joints_drapes_the_towel(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy")
+    import numpy as np
+
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import drape_towel
+
+    simulation, links, joints = play_arms(drape_towel, "robot_drape.yaml")
+    bar, positions = simulation.scene.described["bar"], simulation.positions
+    (x, _, z), radius = bar.position, bar.size[0]
+    # Both edges hang at their sides of the bar, and a layer lies on it. The hand is below the towel.
+    start = simulation.scene.initial_positions()
+    for sign in (1.0, -1.0):
+        edge = positions[start[:, 0] * sign > 0.149]
+        assert ((edge[:, 0] - x) * sign > 0.5 * radius).all()
+        assert (edge[:, 2] < z - radius).all()
+    assert 0.0 < positions[:, 2].max() - z - radius < 2.0 * simulation.scene.contact.thickness
+    assert links.link_pose("left_finger", joints(joints.x[-1]))[2] + 0.06 < positions[:, 2].min()
+    assert np.abs(simulation.velocities).max() < 0.2
+
+
+def test_two_arms_lift_the_towel_by_its_corners(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy")
+    import numpy as np
+
+    monkeypatch.syspath_prepend(str(ROOT / "examples"))
+    import lift_towel
+
+    simulation, links, joints = play_arms(lift_towel, "robot_lift.yaml")
+    scene = simulation.scene
+    frictions = [
+        scene.described[name].friction for name in links.names if scene.described[name].link in scene.robot.pads
+    ]
+    assert frictions == 4 * [scene.gripper.friction]
+    # Each hand holds its corner, and the whole towel hangs above the table.
+    start = scene.initial_positions()
+    for arm, sign in (("left", 1.0), ("right", -1.0)):
+        corner = simulation.positions[(start[:, 0] > 0.149) & (start[:, 1] * sign > 0.149)]
+        hand = links.link_pose(f"{arm}_hand", joints(joints.x[-1]))[:3]
+        assert np.linalg.norm(corner - hand) < 0.12
+    assert simulation.positions[:, 2].min() > 0.05
+    assert np.abs(simulation.velocities).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("example", "done"),
+    [("fold_towel.py", "has folded"), ("drape_towel.py", "has hung"), ("lift_towel.py", "have lifted")],
+)
+def test_arm_example_publishes_its_path(
+    ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, example: str, done: str
 ) -> None:
     pytest.importorskip("rclpy")
+    import importlib
+
     from sensor_msgs.msg import JointState
     from support.ros_client import Client
 
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
-    import fold_path
-
+    waypoints = importlib.import_module(example.removesuffix(".py")).WAYPOINTS
     with Client() as client:
         states: list[JointState] = []
         client.node.create_subscription(JointState, "/joint_states", states.append, 1000)
-        arm = start_process([sys.executable, ROOT / "examples" / "fold_towel.py", "--slower", "0.05"])
-        client.spin_until(lambda: "has folded" in arm.output, description="the end of the path")
+        arm = start_process([sys.executable, ROOT / "examples" / example, "--slower", "0.05"])
+        client.spin_until(lambda: done in arm.output, description="the end of the path")
         assert arm.wait() == 0, arm.output
-    assert {len(state.position) for state in states} == {8}
-    assert states[0].name[-1] == "finger"
-    openings = [state.position[-1] for state in states]
-    assert openings[-1] == pytest.approx(fold_path.WAYPOINTS[-1, 4], abs=2e-3)
+    fingers = [k for k, name in enumerate(states[0].name) if name.endswith("finger")]
+    assert {len(state.position) for state in states} == {8 * len(fingers)}
+    openings = [state.position[k] for state in states for k in fingers]
+    assert openings[-1] == pytest.approx(waypoints[-1, 4], abs=2e-3)
     assert min(openings) == pytest.approx(0.0, abs=2e-3)
 
 

@@ -196,6 +196,24 @@ def test_silence_of_joint_states_is_reported_once(
         assert "joint states come on /joint_states again" in capfd.readouterr().err
 
 
+def test_silence_of_some_joints_is_reported_once(
+    client: Client, description: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with arm(client, (0.1, 0.2, 0.3, 0.01), {"robot.description_file": description, "rate": 10.0}) as cloth:
+        cloth.tick()
+        # One publisher for the arm, and one for the finger, which stops.
+        send(cloth, state((0.01,), ARM_JOINTS[3:]))
+        for k in range(20):
+            send(cloth, state((0.11 + 0.001 * k, 0.2, 0.3), ARM_JOINTS[:3]))
+            cloth.tick()
+        log = capfd.readouterr().err
+        assert log.count(f"no joint state on /joint_states names {ARM_JOINTS[3]} for 1 s") == 1
+        assert "the robot's links stand" not in log
+        send(cloth, state((0.2, 0.2, 0.3, 0.01)))
+        cloth.tick()
+        assert capfd.readouterr().err.count("joint states come on /joint_states again") == 1
+
+
 def test_silence_from_the_start_on_is_reported(
     client: Client, description: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -349,6 +349,61 @@ def test_pads_have_the_friction_of_grippers_and_stop() -> None:
     assert stops.stopped(positions).tolist() == positions.tolist()
 
 
+def test_held_pads_need_three_forward_kinematics(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
+    stops, calls, poses = PadStops(scene, links), [], links.poses
+    for finger in (0.03, *np.zeros(20)):
+        stopped = stops.stopped(np.array([0.2, 0.3, 0.4, finger]))
+    monkeypatch.setattr(links, "poses", lambda positions: calls.append(positions) or poses(positions))
+    # The arm goes on, and the command keeps the fingers closed.
+    assert stops.stopped(np.array([0.21, 0.3, 0.4, 0.0]))[3] == stopped[3]
+    assert len(calls) == 3
+
+
+def sliding_fingers(*joints: tuple[str, str, str]) -> str:
+    """Return a robot whose links slide along y: name, parent and origin of each. They are pads of 2 cm."""
+    box = '<collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision>'
+    links = [
+        f'<link name="{name}">{box}</link><joint name="{name}_joint" type="prismatic"><parent link="{parent}"/>'
+        f'<child link="{name}"/><origin xyz="{origin}"/><axis xyz="0 1 0"/><limit lower="-1" upper="1"/></joint>'
+        for name, parent, origin in joints
+    ]
+    return f'<robot name="r"><link name="stand"/>{"".join(links)}</robot>'
+
+
+def test_pads_of_two_hands_leave_the_arms_free() -> None:
+    """Each arm slides towards the other one; the pads of the two hands meet, and both arms go on."""
+    arms = [(name, "stand", f"0 {y} 0") for name, y in (("left", 0.2), ("right", -0.2))]
+    fingers = [(f"{arm}_{k}", arm, f"0 {y} 0.1") for arm in ("left", "right") for k, y in enumerate((0.02, -0.02))]
+    pads = [name for name, _, _ in fingers]
+    scene, links = robot_scene(
+        sliding_fingers(*arms, *fingers), {"robot.position": [2.0, 0.0, 0.0], "robot.pads": pads}
+    )
+    stops = PadStops(scene, links)
+    index = {name: k for k, name in enumerate(links.joint_names)}
+    positions = np.zeros(len(index))
+    stops.stopped(positions)
+    positions[index["left_joint"]], positions[index["right_joint"]] = -0.17, 0.17
+    assert stops.stopped(positions).tolist() == positions.tolist()
+    # Fingers of one hand still stop.
+    positions[index["left_0_joint"]] = -0.02
+    assert -0.02 < stops.stopped(positions)[index["left_0_joint"]] < -0.01
+
+
+def test_pads_of_one_finger_leave_its_joints_free() -> None:
+    joints = [("near", "stand", "0 0.05 0"), ("tip", "near", "0 0 0.02"), ("thumb", "stand", "0 -0.05 0")]
+    values = {"robot.position": [2.0, 0.0, 0.0], "robot.pads": ["near", "tip", "thumb"]}
+    scene, links = robot_scene(sliding_fingers(*joints), values)
+    stops, index = PadStops(scene, links), links.joint_names.index("tip_joint")
+    positions = np.zeros(3)
+    stops.stopped(positions)
+    positions[index] = 0.01
+    assert stops.stopped(positions).tolist() == positions.tolist()
+    # The finger still stops before the thumb.
+    positions[links.joint_names.index("near_joint")] = -0.1
+    assert stops.stopped(positions)[links.joint_names.index("near_joint")] > -0.08
+
+
 def test_pads_stop_at_the_thickness_of_the_present_scene() -> None:
     scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
     stops = PadStops(scene, links)

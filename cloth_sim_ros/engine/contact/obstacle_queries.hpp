@@ -5,6 +5,8 @@
 // detection. Arrays are (3, n) by component; sums run obstacle by obstacle, particle by particle.
 #pragma once
 
+#include <optional>
+
 #include "contact/culling.hpp"
 #include "contact/queries.hpp"
 #include "laws/friction.hpp"
@@ -400,12 +402,13 @@ bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0
     bool intersects = false;
     // Only a particle whose path is longer than its gap can hit. The longest path saves the search of far meshes.
     double longest = 0.0;
+    std::optional<RelativeMotion> motion;
     const auto measure_paths = [&](std::int64_t obstacle, const PosedObstacle<double>& posed) {
-        const RelativeMotion motion(plan.contacts.path(obstacle), t, duration);
+        motion.emplace(plan.contacts.path(obstacle), t, duration);
         longest = 0.0;
         for (std::int64_t i = 0; i < n; ++i) {
             const Vec3<double> from = at(x0, i);
-            const double length = motion.length(from, at(x1, i), from - posed.position, posed.lever);
+            const double length = motion->length(from, at(x1, i), from - posed.position, posed.lever);
             if (!(length <= longest)) longest = length < no_gap<double> ? length : no_gap<double>;
         }
         return intersects;
@@ -413,10 +416,9 @@ bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0
     const auto reach = [&](double) { return 1.001 * longest + min_step; };
     for_each_near(plan, t, x0, nullptr, measure_paths, reach, [&](const ObstacleContact& contact) {
         if (intersects) return;
-        const RelativeMotion motion(plan.contacts.path(contact.obstacle), t, duration);
         const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];
         const Vec3<double> from = at(x0, contact.particle), to = at(x1, contact.particle);
-        const double path_length = motion.length(from, to, contact.arm, contact.posed.lever);
+        const double path_length = motion->length(from, to, contact.arm, contact.posed.lever);
         if (contact.gap > path_length) return;
         for (double fraction = 0.0, gap = contact.gap; fraction < 1.0 && !intersects;) {
             fraction = smaller(fraction + larger(gap, min_step) / path_length, 1.0);

@@ -35,6 +35,8 @@ class JointStates:
         self.stamp = 0
         #: Stamp of the position of each joint [ns].
         self._stamps: NDArray[np.int64] = np.zeros(len(self.names), dtype=np.int64)
+        #: ROS time at which the newest state of each joint came [ns]; 0 for none.
+        self._arrivals: NDArray[np.int64] = np.zeros(len(self.names), dtype=np.int64)
         self._indices = {name: k for k, name in enumerate(self.names)}
         #: For each list of names: indices in a message, indices of joints, and the gate of its stamps.
         self._publishers: dict[tuple[str, ...], tuple[NDArray[np.int64], NDArray[np.int64], StampGate]] = {}
@@ -75,8 +77,14 @@ class JointStates:
             k = int(np.argmin(np.isfinite(values)))
             raise ValueError(f"the position of joint '{key[of_message[k]]}' is {values[k]}; it must be finite")
         self._waiting.append((gate.accept(stamp, now), of_joints, values))
+        self._arrivals[of_joints] = now
         del self._waiting[:-_MAX_WAITING]
         return True
+
+    def silent_since(self, time: int) -> list[str]:
+        """Return the names of the joints whose states have stopped before a ROS time [ns]."""
+        is_silent = (self._arrivals > 0) & (self._arrivals < time)
+        return [name for name, silent in zip(self.names, is_silent.tolist(), strict=True) if silent]
 
     def apply(self, now: int) -> bool:
         """Apply the states that are due at a ROS time [ns], by stamp. Return True if a position changed."""
@@ -100,5 +108,6 @@ class JointStates:
         self._waiting.clear()
         self.stamp = 0
         self._stamps[:] = 0
+        self._arrivals[:] = 0
         for _, _, gate in self._publishers.values():
             gate.reset()

@@ -78,6 +78,8 @@ class RobotFollower:
         #: True if the next frame has to repeat the command of the links; the same from the next state on.
         self._must_send = self._resends = False
         self._is_silent = self._has_failed = False
+        #: Joints whose states have stopped while those of others come.
+        self._silent_joints: list[str] = []
         frames.link_pose = self.link_pose
 
     def subscribe(self) -> None:
@@ -180,19 +182,22 @@ class RobotFollower:
         self._log.warn(f"joint state {kind}", f"a joint state is refused: {reason}")
 
     def _report_silence(self, now: int) -> None:
-        """Say once when joint states stop, and when they come again."""
+        """Say once when joint states stop, of all joints or of some, and when they come again."""
         if self._settings.source != JOINT_STATES:
             return
         self._last_state = self._last_state or now
-        is_silent = now - self._last_state > _SILENCE
-        if is_silent == self._is_silent:
-            return
-        self._is_silent = is_silent
-        topic = self._settings.joint_states_topic
-        if is_silent:
+        is_silent, topic = now - self._last_state > _SILENCE, self._settings.joint_states_topic
+        joints = [] if is_silent else self._states.silent_since(now - _SILENCE)
+        if joints and joints != self._silent_joints:
+            listed = ", ".join(joints)
+            self._log.warn(
+                "joints", f"no joint state on {topic} names {listed} for 1 s: the links that they move stand"
+            )
+        if is_silent and not self._is_silent:
             self._log.warn("joint states", f"no joint state has come on {topic} for 1 s: the robot's links stand")
-        else:
+        elif not is_silent and not joints and (self._is_silent or self._silent_joints):
             self._log.info("joint states again", f"joint states come on {topic} again")
+        self._is_silent, self._silent_joints = is_silent, joints
 
 
 def _start_pose(simulation: Simulation, name: str) -> tuple[float, ...]:

@@ -22,8 +22,9 @@ _BISECTIONS = 7
 class PadStops:
     """Stops the joints of fingers before their pads come closer than the contact thickness.
 
-    Two pads are a pair if different joints move them. Both sides of a cloth's layer then have half the thickness, and
-    its contact pushes back. Without stops a closed gripper would crush the layer, and all obstacles would stop.
+    Two pads are a pair if they belong to one hand and different joints move them. Both sides of a cloth's layer then
+    have half the thickness, and its contact pushes back. Without stops a closed gripper would crush the layer, and all
+    obstacles would stop. Pads of two hands, and of two links of one finger, may come closer.
 
     Args:
         scene: has the pads as obstacles, `robot.pads` and `contact.thickness`.
@@ -39,12 +40,21 @@ class PadStops:
         #: Pairs of pads, and the joints that move one relative to the other.
         self._pairs: list[tuple[int, int, list[int]]] = []
         bodies = {k: links.kinematics.placements[links.links[k]][0] for k in pads}
-        for a, b in combinations(pads, 2):
-            if bodies[a] == bodies[b]:
+        chains = {k: links.kinematics.moving_joints(bodies[k]) for k in pads}
+        opposite = [
+            (a, b)
+            for a, b in combinations(pads, 2)
+            if bodies[a] != bodies[b] and not _one_carries(chains[a], chains[b])
+        ]
+        # A pad shares more joints with the pads of its hand than with others.
+        common = {pair: len(set(chains[pair[0]]) & set(chains[pair[1]])) for pair in opposite}
+        most = {k: max((count for pair, count in common.items() if k in pair), default=0) for k in pads}
+        for a, b in opposite:
+            if not common[a, b] == most[a] == most[b]:
                 continue
-            chains = [links.kinematics.moving_joints(body) for body in sorted((bodies[a], bodies[b]))]
             # Fingers that mimic one joint share all joints; that one is the last of them.
-            self._pairs.append((a, b, sorted(set(chains[0]) ^ set(chains[1])) or chains[1][:1]))
+            last = chains[max((a, b), key=bodies.__getitem__)]
+            self._pairs.append((a, b, sorted(set(chains[a]) ^ set(chains[b])) or last[:1]))
         self._accepted: Array | None = None
 
     def update(self, scene: Scene) -> None:
@@ -62,28 +72,39 @@ class PadStops:
         if not self._pairs:
             return positions
         result = positions.copy()
+        poses = self._links.poses(result)
         for a, b, joints in self._pairs:
-            if self._gap(a, b, result) >= self._min_gap:
+            if self._gap(a, b, poses) >= self._min_gap:
                 continue
             if self._accepted is None:
                 break
             open_positions = result.copy()
             open_positions[joints] = self._accepted[joints]
-            low, high = 0.0, 1.0
-            for _ in range(_BISECTIONS):
-                middle = 0.5 * (low + high)
-                trial = open_positions + middle * (result - open_positions)
-                low, high = (middle, high) if self._gap(a, b, trial) >= self._min_gap else (low, middle)
-            result = open_positions + low * (result - open_positions)
+            result = open_positions + self._fraction(a, b, open_positions, result) * (result - open_positions)
+            poses = self._links.poses(result)
         self._accepted = result
         return result
+
+    def _fraction(self, a: int, b: int, start: Array, end: Array) -> float:
+        """Return the fraction of a step of the joints at which two pads stop."""
+
+        def is_open(fraction: float) -> bool:
+            return self._gap(a, b, self._links.poses(start + fraction * (end - start))) >= self._min_gap
+
+        low, high = 0.0, 1.0
+        # Closed fingers stay at their stop in most frames.
+        if not is_open(0.5**_BISECTIONS):
+            return low
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if is_open(middle) else (low, middle)
+        return low
 
     def _features_of_pads(self) -> dict[int, ObstacleFeatures]:
         return {k: obstacle_features(solid, self._min_gap) for k, solid in self._solids.items()}
 
-    def _gap(self, a: int, b: int, positions: Array) -> float:
-        """Return the least distance of the points of one pad from the other [m]."""
-        poses = self._links.poses(positions)
+    def _gap(self, a: int, b: int, poses: Array) -> float:
+        """Return the least distance of the points of one pad from the other [m] at poses (count, 7) of the links."""
         solid_a, solid_b = self._solids[a], self._solids[b]
         features_a, features_b = self._features[a], self._features[b]
         offset = poses[a, :3] - poses[b, :3]
@@ -93,6 +114,12 @@ class PadStops:
         return min(
             _min_gap_of(solid_b, poses[b], features_a, poses[a]), _min_gap_of(solid_a, poses[a], features_b, poses[b])
         )
+
+
+def _one_carries(first: list[int], second: list[int]) -> bool:
+    """Return true if one of two pads carries the other, by the joints that move them."""
+    short, long = sorted((first, second), key=len)
+    return len(short) < len(long) and long[len(long) - len(short) :] == short
 
 
 def _min_gap_of(solid: Obstacle, pose: Array, features: ObstacleFeatures, features_pose: Array) -> float:
