@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from support import garment
 from support.obstacle_sheets import FRAME, SHEET, THICKNESS
-from support.pinch_scenes import gravity
 from support.random_meshes import shuffled_mesh
 
 from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw, drive_inertia
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY
@@ -78,9 +79,15 @@ class PinchedSheet:
         self.contact.set_jaw_commands(np.array([[True, True]]))
         # Gravity ramps up within half a second, with strong drag, so that the sheet does not fall into the pads.
         for k in range(SETTLING_FRAMES):
-            gravity(self.plan, G * min(1.0, max(0.0, (k - 10) / 30)), drag=5.0)
+            self.set_uniform_forces(G * min(1.0, max(0.0, (k - 10) / 30)), 5.0)
             self.advance()
-        gravity(self.plan, G)
+        self.set_uniform_forces(G, 0.2)
+
+    def set_uniform_forces(self, gravity: float, drag: float) -> None:
+        """Set gravity downward [m/s^2] and drag [1/s]."""
+        uniform = [*([Gravity((0.0, 0.0, -gravity))] if gravity else []), Drag(drag)]
+        forces = [force for force in self.plan.model.forces if force.name not in ("gravity", "drag")]
+        self.plan.change_uniform([*forces, *uniform], uniform)
 
     def move(self, position: Any, speed: Any, acceleration: Any) -> None:
         """Set position [m], speed [m/s] and acceleration [m/s^2] of both pads, each (3,), for the next frame."""
@@ -188,7 +195,7 @@ def _carry(pinched: PinchedSheet, axis: int) -> tuple[float, float, int]:
         excursion = np.abs(pinched.state.x[:, pinched.between] - position * along[:, None] - start).max()
         max_excursion = max(max_excursion, float(excursion))
     # Without the higher drag the swing decays within minutes.
-    gravity(pinched.plan, G, drag=5.0)
+    pinched.set_uniform_forces(G, 5.0)
     pinched.advance(240)
     excursion = np.abs(pinched.state.x[:, pinched.between] - position * along[:, None] - start).max()
     return max_excursion / pinched.spacing, float(excursion), int((pinched.anchors != start_anchors).any(axis=1).sum())
