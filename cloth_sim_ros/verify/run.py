@@ -188,7 +188,8 @@ class _SessionRun:
         """End the session."""
         assert self._commands is not None
         part, position = self._part, self._findings.position
-        if part.end_notes.get("reason") not in _CLEAN_END_REASONS and self._verdict.frames:
+        is_clean = part.at_end and part.end_notes.get("reason") in _CLEAN_END_REASONS
+        if not is_clean and self._verdict.frames:
             missing_topics = self._completeness.forgive_last_frame(position)
             if missing_topics:
                 topics = ", ".join(missing_topics)
