@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import subprocess
@@ -300,10 +301,14 @@ def test_damaged_session_is_reported(
     whole, hurt = noisy.read_bytes(), tmp_path / "hurt.mcap"
     assert read_session([noisy]).unreadable == ""
     assert "unreadable" not in describe(fitted)
-    hurt.write_bytes(whole[: len(whole) // 2])
+    from mcap.reader import make_reader
+
+    chunk = next(iter(make_reader(io.BytesIO(whole)).get_summary().chunk_indexes))
+    middle = chunk.chunk_start_offset + chunk.chunk_length // 2
+    hurt.write_bytes(whole[:middle])
     assert fit_main.main([str(hurt), "--parameters", "stretch"]) == fit_main.REFUSED
     assert "nothing to fit (hurt.mcap: the recording was cut off" in capsys.readouterr().err
-    hurt.write_bytes(whole[: len(whole) // 2] + bytes([whole[len(whole) // 2] ^ 255]) + whole[len(whole) // 2 + 1 :])
+    hurt.write_bytes(whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :])
     assert fit_main.main([str(hurt), "--parameters", "stretch"]) == fit_main.REFUSED
     # It depends on the byte which check finds it.
     assert re.search("fails its checksum|does not decompress|no readable head", capsys.readouterr().err)

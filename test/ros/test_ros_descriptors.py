@@ -25,6 +25,7 @@ NUMBERS = itertools.count()
 #: Other parameters that give a parameter its full range.
 REQUIRED: dict[str, dict[str, Any]] = {
     "material.bending_modulus": {"bending.model": "crossed"},
+    "bending.friction_moment": {"bending.model": "crossed", "material.bending_modulus": 1.0},
     "material.bending_modulus_weft": {"bending.model": "crossed", "material.bending_modulus": 1.0},
     "material.stretch_modulus": {"material.shear_modulus": 0.0, "bending.stiffness": 0.0},
     "bending.stiffness": {"material.stretch_modulus": 1e9},

@@ -287,7 +287,9 @@ def _merged(particles: NDArray[np.int64], weights: Array) -> tuple[NDArray[np.in
     order = np.argsort(particles, axis=1, kind="stable")
     ascending = np.take_along_axis(particles, order, axis=1)
     is_new = np.diff(ascending, axis=1, prepend=-1) > 0
-    column = np.cumsum(is_new, axis=1) - 1
+    column = np.zeros_like(ascending)
+    for k in range(1, column.shape[1]):
+        column[:, k] = column[:, k - 1] + is_new[:, k]
     row = np.broadcast_to(np.arange(len(particles))[:, None], column.shape)
     merged = np.full((len(particles), _STENCIL), -1, dtype=np.int64)
     merged[row, column] = ascending
