@@ -66,12 +66,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     )
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """Return one worker more than processors, because tests of nodes and commands wait for other processes."""
-    return len(os.sched_getaffinity(0)) + 1
-
-
 # Without a folder at the top of the repository there is nothing that its tests could measure.
 collect_ignore = [name for name in ("benchmarks", "validation") if not (ROOT / name / "__init__.py").exists()]
 
