@@ -104,9 +104,12 @@ def test_a_second_cloth_follows_in_step(ros_domain: int, start_process: Callable
         followed: list[PointCloud2] = []
         client.node.create_subscription(PointCloud2, "/follower/points", followed.append, 10)
         client.watch()
-        client.spin_until(lambda: len(followed) > 20, description="frames of the follower")
-        led = {stamp_of(cloud) // 1000 for cloud in client.clouds}
-        assert len(led & {stamp_of(cloud) // 1000 for cloud in followed}) > 10
+
+        def common() -> set[int]:
+            led = {stamp_of(cloud) // 1000 for cloud in client.clouds}
+            return led & {stamp_of(cloud) // 1000 for cloud in followed}
+
+        client.spin_until(lambda: len(common()) > 10, description="common frames of leader and follower")
     assert leader.interrupt() == 0
     assert follower.interrupt() == 0
     (path,) = tmp_path.glob("*.mcap")
