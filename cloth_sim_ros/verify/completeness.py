@@ -116,9 +116,7 @@ class CompletenessCheck:
         assert part is not None
         notes = part.end_notes
         self._dropped += _parse_count(notes.get("dropped", "")) or 0
-        # A tool may have copied the end record to the beginning of a file that was cut off later.
-        self._may_be_incomplete |= bool(part.damage) or not notes or not part.at_end
-        self._may_be_incomplete |= notes.get("reason") == "recovered"
+        self._may_be_incomplete |= bool(part.damage) or not notes or notes.get("reason") == "recovered"
         announced = _parse_count(notes.get("messages", ""))
         if not notes and part.at_end:
             self._findings.missing(f"{part.path.name}: its end record, which tells how many messages it held")
