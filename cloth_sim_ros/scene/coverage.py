@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import to_body_frame
 from cloth_sim_ros.scene import sections
-from cloth_sim_ros.scene.build import Sheet
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.physics_scene import Sheet
 
 #: Largest number of cells along a side of the projected cloth.
 _MAX_CELLS = 4096

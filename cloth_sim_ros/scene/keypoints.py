@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.normals import vertex_normals
-from cloth_sim_ros.scene.build import Sheet, named_particles
+from cloth_sim_ros.scene.build import named_particles
 from cloth_sim_ros.scene.parameters.declare import NAME, ParameterError
+from cloth_sim_ros.scene.physics_scene import Sheet
 
 _CORNERS = "corners"
 #: Corners of a grid, along its boundary.

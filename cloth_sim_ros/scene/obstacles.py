@@ -18,9 +18,9 @@ from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.plan.gripper_path import normalized
 from cloth_sim_ros.scene import sections
-from cloth_sim_ros.scene.build import Sheet
 from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters.declare import NAME, Parameter, ParameterError
+from cloth_sim_ros.scene.physics_scene import Sheet
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.obstacles import Obstacle

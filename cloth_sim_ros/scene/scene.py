@@ -29,13 +29,14 @@ from cloth_sim_ros.scene import coverage, fabrics, gripper_parameters, keypoints
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import obstacles as scene_obstacles
-from cloth_sim_ros.scene.build import Sheet, anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
+from cloth_sim_ros.scene.build import anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
 from cloth_sim_ros.scene.camera_section import CameraParameters
 from cloth_sim_ros.scene.gripper_section import NO_ACTION, PINCH, PRESCRIBED
 from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError, parameter, section
 from cloth_sim_ros.scene.parameters.unknown_parameters import is_ros_parameter
+from cloth_sim_ros.scene.physics_scene import Sheet
 from cloth_sim_ros.scene.recorded_scene import merge_hint
 from cloth_sim_ros.scene.sections import (
     AirParameters,

@@ -11,18 +11,16 @@ from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.scene import sections
+from cloth_sim_ros.scene.bending import bending_forces, friction_of_hinges
 from cloth_sim_ros.scene.build import (
-    PhysicsScene,
-    Sheet,
     anchored_particles,
-    bending_forces,
-    friction_of_hinges,
     grid_threads_of,
     joined_particles,
     membrane_forces,
     obstacle_joints,
 )
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.physics_scene import PhysicsScene, Sheet
 from cloth_sim_ros.scene.thread_directions import along_grid, bending_moduli, stretch_moduli
 
 #: Fabrics whose elements are known to be valid, the last one first: their check builds all elements of the sheet.

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.build import Sheet
+from cloth_sim_ros.scene.physics_scene import Sheet
 
 #: Upper bound of a fingerprint, which must fit into a signed integer of 64 bits.
 _MAX_FINGERPRINT = (1 << 63) - 1

@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.model.forces.wind import Wind
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.plan.plan import Plan, compile
-from cloth_sim_ros.scene.build import Sheet
+from cloth_sim_ros.scene.physics_scene import Sheet
 
 #: Largest fraction of the particles that is reported as limiting.
 STIFF_FRACTION = 0.01
