@@ -87,7 +87,7 @@ class ShapeOperator:
         key = np.concatenate(first) * len(masses) + np.concatenate(second)
         keys, index = np.unique(key, return_inverse=True)
         constants = np.bincount(index.ravel(), np.concatenate(pair_constants), minlength=len(keys))
-        has_force = np.abs(constants) > _NEGLIGIBLE_FRACTION * max(moduli) / self.areas.max(initial=1.0)
+        has_force = np.abs(constants) > _NEGLIGIBLE_FRACTION * max(moduli) / self.areas.max()
         pairs = np.stack(np.divmod(keys[has_force], len(masses)), axis=1)
         return Couplings(
             pairs, constants[has_force], self._damping_time(moduli, damping, masses), name="shape_operator"
