@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.forces.force import Array, Force
 
 
 class Model:
-    """Particles and the forces on them.
+    """Masses, anchors and forces of a cloth's particles: all that stays constant during its motion.
 
     Args:
         masses: particle masses [kg], shape (particle_count,), positive.

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
 
 
 class CrossedSprings(HingeSprings):
-    """Edge-edge springs (S8): h is the signed distance between the lines of the shared edge a and of the wings b.
+    """Bending springs (S8) on the signed distance h between a hinge's shared edge a and the line b between its wings.
 
     The distance is 6V divided by the norm of a × b. It is positive if the wings rise to the side of the surface's
     normal. Parallel lines, as in a symmetric pair folded by exactly 180°, have no common normal: there the force would

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Force:
-    """One force of a model.
+    """Base class of a model's forces: force, energy, dissipation, and bounds of stiffness and damping.
 
     A force of the engine describes its parts in `parts`. A Python force does not override `parts`. It overrides
     `add_force` and, if it has them, `energy`, `add_stiffness` and the other methods. A Python force costs only its own
@@ -47,11 +47,11 @@ class Force:
         return None
 
     def steady(self) -> bool:
-        """Return true if the force at given positions and velocities is constant until the next event."""
+        """Return true if the force does not depend explicitly on time until the next event."""
         return True
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
-        """Add the force [N] to ``f``."""
+        """Add the force on each particle [N] at time t [s] to ``f`` (3, n)."""
         raise NotImplementedError(f"force '{self.name}' has neither parts nor add_force")
 
     def energy(self, t: float, x: Array) -> float:
@@ -63,7 +63,7 @@ class Force:
         return 0.0
 
     def supply(self, t: float, x: Array, v: Array) -> float:
-        """Return the power [W] of the force on the cloth, except for the change of its energy."""
+        """Return the external power [W] that the force supplies, as wind does; without elastic and dissipated power."""
         return 0.0
 
     def add_stiffness(self, x: Array, blocks: Array) -> None:
@@ -77,7 +77,7 @@ class Force:
 
 
 class EngineForce(Force):
-    """A force of the engine, described by its parts; a plan evaluates it."""
+    """Base class of a force that the engine computes, described by its parts; only a plan can evaluate it."""
 
     @abstractmethod
     def parts(self, particle_count: int) -> Sequence[Part]:

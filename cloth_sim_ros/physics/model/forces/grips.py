@@ -84,7 +84,7 @@ class Grips(EngineForce):
         self.controls = GripControls(np.array(paths, dtype=np.float64), grasps)
 
     def set_paths(self, paths: Array) -> None:
-        """Set new paths, shape (gripper_count, PATH_NUMBERS), for the present grips."""
+        """Set the grippers' paths for the next frame, shape (gripper_count, PATH_NUMBERS); the grips stay."""
         self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def save(self) -> GripControls:
@@ -108,7 +108,7 @@ class Grips(EngineForce):
         return self.controls.grasps.gripper_indices(self.gripper_count)
 
     def steady(self) -> bool:
-        """Return true if no gripper with grips moves or turns over its path."""
+        """Return true if no gripper that grasps a particle moves or turns in this frame."""
         grasps = self.controls.grasps
         if not grasps.particles.size:
             return True
