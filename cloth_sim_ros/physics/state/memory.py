@@ -47,7 +47,7 @@ _OBSTACLES: _Table = {
 
 
 def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
-    """Refuse memory from which controllers, grippers, obstacles, pause or sleep can't continue; unknown names pass.
+    """Raise an error if a known array of a state's memory has wrong type, shape or range; unknown names pass.
 
     The arrays of grippers and grips occur together, or none of them; so do those of obstacles.
 

@@ -34,7 +34,7 @@ from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
 from cloth_sim_ros.physics.model.forces.force import Array
 
 Length = Literal["crossed", "altitude"]
-#: S8's M² has (this e²)² more than |a × b|²: parallel lines have a distance, too. The same as in engine/laws.hpp.
+#: S8's M² has (this e²)² more than |a × b|²: parallel lines have a distance, too. The same as in engine/laws/hinge.hpp.
 PARALLEL = 0.1
 
 
