@@ -37,7 +37,7 @@ RATIO_SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 @lru_cache(maxsize=256)
 def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprime: bool = False) -> tuple[int, ...]:
-    """Return the step counts of the runs, strictly increasing multiples of the multirate ratio.
+    """Return the numbers of steps of the tableau's runs, strictly increasing multiples of the multirate ratio.
 
     Args:
         first: step count of the first run.
@@ -57,14 +57,14 @@ def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprim
 
 @lru_cache(maxsize=16)
 def amplification(n_runs: int) -> float:
-    """Return the amplification of rounding by a combination of some runs: the sum of |w|."""
+    """Return the factor by which the combination of n_runs runs amplifies rounding: the sum of its weights' |w|."""
     # Twenty is the smallest first count whose step counts have exactly the ratios.
     return ordered_sum(abs(weight) for weight in weights(step_counts(20, n_runs)))
 
 
 @lru_cache(maxsize=1024)
 def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the weights of T_K for K runs of step counts n: exact ratios of integers, rounded once.
+    """Return the weights w of the combination T_K of K runs with step counts n: exact ratios, rounded once.
 
     Divided differences of 1, n, ..., n^(K - 2) vanish, and that of n^K is the sum of the n. Therefore the weights are
     ``w_i = n_i^K / (sum of n * product of n_i - n_j over j != i)``.
@@ -84,7 +84,7 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
 
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
-    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of some pairs."""
+    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of several such pairs."""
     if rates.count(rates[0]) == len(rates):
         return rates[0]
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
@@ -141,7 +141,7 @@ class ExtrapolationTableau:
         self._contact_summaries: dict[int, tuple[float, float, tuple[float, float]]] = {}
 
     def combine(self, n_runs: int) -> tuple[Array, Array]:
-        """Return positions [m] and velocities [m/s] of T_K, K = n_runs, each of shape (3, n)."""
+        """Return positions [m] and velocities [m/s] of the combination T_K of K = n_runs runs, (3, n) each."""
         if n_runs not in self._combined:
             self._make_runs(n_runs)
         if n_runs not in self._combined:
@@ -158,7 +158,7 @@ class ExtrapolationTableau:
         return self._summaries[n_runs]
 
     def _summarize(self, n_runs: int) -> RunSummary:
-        """Return the summary of T_K, K = n_runs, as the engine makes it for runs of one call."""
+        """Calculate the summary of T_K, K = n_runs, for runs that the engine did not combine in one call."""
         x, v = self.combine(n_runs)
         # The motion of prescribed particles is given.
         free = self._plan.free_particles()
@@ -217,7 +217,7 @@ class ExtrapolationTableau:
         return self._distances[n_runs]
 
     def approximate_difference(self, n_runs: int) -> float:
-        """Return the same approximately, without force evaluations [m].
+        """Return `difference` approximately [m], without force evaluations.
 
         Velocities displace in proportion to their difference, as in the last call of `difference`. It shows which runs
         are worth a try; the error of those that are taken is a `difference`.
@@ -234,7 +234,7 @@ class ExtrapolationTableau:
         return contact.combine_jaws(self._runs[:n_runs], weights(self.counts[:n_runs]))
 
     def _jaw_difference(self, n_runs: int) -> float:
-        """Return the difference of half openings [m], or of their rates times `jaw_time`."""
+        """Return the largest difference of jaws of T_(K+1) from T_K [m]: half openings, or speeds times `jaw_time`."""
         next_jaws, jaws = self.jaws(n_runs + 1), self.jaws(n_runs)
         if next_jaws is None or jaws is None:
             return 0.0
@@ -242,7 +242,7 @@ class ExtrapolationTableau:
         return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._jaw_time)
 
     def contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
-        """Return the contact in the runs of T_K, K = n_runs; zeros without contact.
+        """Return the largest contact energies and self-contact rates in the runs of T_K; zeros without contact.
 
         Returns:
             Energy per mass, in U^2/2, that contact had to absorb, or would have had to in a completed approach; the
@@ -277,13 +277,13 @@ class ExtrapolationTableau:
         return accumulator.work + accumulator.wind_work + accumulator.recovery_work
 
     def accumulate(self, n_runs: int, accumulator: WorkAccumulator) -> None:
-        """Accumulate T_K, K = n_runs; integrals along the runs are extrapolated with the weights of the state."""
+        """Add the wrench and work integrals of T_K, extrapolated with its weights, to an accumulator."""
         self._make_runs(n_runs)
         runs, counts = self._runs[:n_runs], self.counts[:n_runs]
         accumulate_runs(accumulator, self._plan, self._start, self.t, self.duration, runs, counts, weights(counts))
 
     def _make_runs(self, n_runs: int) -> None:
-        """Calculate the missing runs; if there is none yet, the engine combines them in the same call.
+        """Calculate those of the first n_runs runs that are missing; the first call also combines them.
 
         Expected runs are calculated with them if a second thread is idle, or if they are shorter than a further call.
         Such a run changes neither results nor counts before it is requested.
@@ -317,7 +317,7 @@ class ExtrapolationTableau:
         return contact is not None and contact.contact_energy(self._runs[-1].min_gap) > 0.0
 
     def _execute(self, first: int, counts: Sequence[int], n_runs: int, concurrency: int) -> list[Run]:
-        """Calculate and store the runs from index ``first`` on in one call, with T_K, K = n_runs, if it is 0."""
+        """Calculate and store runs from index ``first`` on in one engine call; if it is 0, also their combination."""
         runs, result = self._plan.runs(
             self.t,
             self.duration,
