@@ -344,7 +344,7 @@ class ImplicitAdvance:
         return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic, work
 
     def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
-        """Solve a = a(t, x + d u, u), u = v + d a by Newton's iteration; return u and a, or None if it diverges."""
+        """Solve a = a(t, x + d u, u), u = v + d a by Newton's iteration; return u, a, or None."""
         x, v = self._stage_start(t, x, v, d)
         u = v + d * guess * self._is_free
         previous_size = math.inf

@@ -185,7 +185,7 @@ class HingeShape:
         return np.maximum(height_part + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _squared_area(self, kind: Length) -> tuple[Array, Array, Array]:
-        """Return the coefficients a, b, c of the squared area M² = a + b t + c t² [m^4], t the cosine of the fold."""
+        """Return a, b, c of the squared area M² = a + b t + c t² [m^4], t the cosine of the fold."""
         a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":
