@@ -69,7 +69,7 @@ CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctyp
 
 
 class EngineError(RuntimeError):
-    """The engine is not built, or failed."""
+    """Error: the engine's library is not built, or a call of it failed."""
 
 
 class FrameRequest(ctypes.Structure):

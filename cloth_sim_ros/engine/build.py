@@ -72,11 +72,11 @@ MACHINES = {"x86_64": ("baseline", "avx2", "avx512"), "aarch64": ("neon",)}
 
 
 class BuildError(RuntimeError):
-    """The engine can't be built; the message states cause and remedy."""
+    """Error: the engine can't be built; the message states cause and remedy."""
 
 
 class NoCompilerError(BuildError):
-    """There is no C++ compiler."""
+    """Error: no C++ compiler is installed."""
 
 
 def names_for(machine: str | None = None) -> tuple[str, ...]:

@@ -36,7 +36,7 @@ class Motion:
 
     @property
     def flagged(self) -> int:
-        """Number of advances whose estimated error exceeds the tolerance's share of their duration."""
+        """Number of advances whose estimated error exceeds their part of the tolerance."""
         return len([advance for advance in self.advances if advance.flagged])
 
 

@@ -337,7 +337,7 @@ class ContactBinding(Uncopyable):
     def predict_surface_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float]:
-        """Predict the bounds of `predict_contact` for contact of the cloth's triangles and edges alone.
+        """Predict bounds of squared frequency and damping rate of contact of the cloth's triangles and edges alone.
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
@@ -353,7 +353,7 @@ class ContactBinding(Uncopyable):
     def _predict_surface_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict the bounds of `predict_surface_contact`, and the number of candidate pairs."""
+        """Predict squared frequency, damping rate and number of pairs of contact of triangles and edges."""
         self.upload(memory)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
         trust_factor = CONSTANTS.estimate_trust_factor if duration > 0.0 else 1.0
@@ -383,7 +383,7 @@ class ContactBinding(Uncopyable):
     def _predict_obstacle_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict the energy of `predict_energy`, and the number of particles near obstacles, and near rough ones."""
+        """Predict contact energy per mass at obstacles, and numbers of particles near all and near rough ones."""
         if not self.count:
             return 0.0, 0.0, 0.0
         self.upload(memory)

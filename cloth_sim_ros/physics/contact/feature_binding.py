@@ -37,7 +37,7 @@ class FeatureBinding(Uncopyable):
         check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.search_length))
 
     def upload(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
-        """Upload the features of obstacles, except those that particles alone keep out."""
+        """Upload points and edges of obstacles, except of round ones that contact of particles alone keeps out."""
         for k, obstacle in enumerate(obstacles):
             feature_set = obstacle_features(obstacle, thickness)
             if feature_set.radius > 0.0 and is_covered_by_particles(feature_set.radius, self._max_edge, thickness):

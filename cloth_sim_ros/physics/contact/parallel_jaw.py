@@ -60,7 +60,7 @@ class ParallelJaw:
         self.boxes()
 
     def boxes(self) -> tuple[Obstacle, Obstacle]:
-        """The jaws as obstacles: the left one, on the positive side, first. No obstacle of a scene has such a name."""
+        """Return both jaws as box obstacles, the one on the positive side first; their names are unique."""
         names = (f"{self.gripper}.left_pad", f"{self.gripper}.right_pad")
         first, second = (Obstacle(name=name, shape="box", size=self.size, friction=self.friction) for name in names)
         return first, second

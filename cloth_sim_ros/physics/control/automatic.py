@@ -141,7 +141,7 @@ class Automatic(Integrator):
     def _choose_integrator(
         self, memory: IntegratorChoiceState, plan: Plan, state: State, t: float, duration: float
     ) -> None:
-        """Set the memory to explicit or implicit steps: compares their costs periodically.
+        """Choose explicit or implicit steps by a periodic comparison of their costs, and record the choice.
 
         They are compared at once if the implicit method becomes expensive, or if the cloth comes close to itself.
         """

@@ -72,19 +72,19 @@ class ContactStepLimit:
 
     @staticmethod
     def _encountered(tableau: ExtrapolationTableau, n_runs: int) -> tuple[float, tuple[float, float]]:
-        """Return the energy per mass at obstacles and the rates of self-contact that runs of T_K encountered."""
+        """Return the energy per mass at obstacles and the rates of self-contact that n_runs runs encountered."""
         energy, _, rates = tableau.contact_summary(n_runs)
         return max(energy, tableau.summary(n_runs).contact_energy), rates
 
     def has_contact(self, tableau: ExtrapolationTableau, n_runs: int) -> bool:
-        """Return True if the runs of T_K, K = n_runs, met an obstacle or the cloth itself."""
+        """Return True if the first n_runs runs of a tableau met an obstacle or the cloth itself."""
         if self._plan.contact is None:
             return False
         energy, self_contact = self._encountered(tableau, n_runs)
         return bool(energy or self_contact[0])
 
     def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int, summary: RunSummary) -> float:
-        """Return the stability limit of the step [s] by the contact in the runs of T_K, and the sheet at its end."""
+        """Return the stability limit of the step [s] by contact that n_runs runs met, and the sheet at their end."""
         if self._plan.contact is None:
             return self._options.step_limit(summary.omega2, summary.damping)
         energy, self_contact = self._encountered(tableau, n_runs)

@@ -133,7 +133,7 @@ def leapfrog_energy(plan: Plan, t: float, state: State, step: float) -> float:
 
 
 def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: float, n_runs: int) -> tuple[float, int]:
-    """Return the external work [J] over the interval of T_K, and the number of force evaluations for it.
+    """Return the external work on the cloth [J] over a tableau's interval, and the force evaluations spent on it.
 
     Args:
         plan: equations of motion.

@@ -51,7 +51,7 @@ class ErrorPrediction(NamedTuple):
 
 @attrs.define
 class ErrorEstimate:
-    """Error estimates of a piece: of each combination T_1, T_2, ..., and at the ends of the piece."""
+    """Error estimates of a piece [m]: of 1, 2, ... combined runs, and at the ends of the piece."""
 
     is_rough: bool
     #: Errors of T_1, T_2, ... [m], and error that force jumps at the ends of the piece may cause [m].
@@ -165,7 +165,7 @@ class ErrorRule:
         return _COORDINATE_ROUNDINGS * _EPSILON * largest_component(self._x)
 
     def rounding_floor(self, n_runs: int, steps: int = 0) -> float:
-        """Return the error estimate of T_K, K = n_runs, that rounding alone causes [m].
+        """Return the error estimate of n_runs combined runs that rounding alone causes [m].
 
         Args:
             n_runs: number of combined runs.
@@ -321,5 +321,5 @@ class ErrorRule:
 
 
 def coefficient_of(counts: tuple[int, ...], length: float) -> float:
-    """Return `error_coefficient` of the step counts times length^(K + 1) of an interval [s], for K runs."""
+    """Return the error coefficient of K combined runs of a length [s]: `error_coefficient` times length^(K + 1)."""
     return error_coefficient(counts) * power(length, len(counts) + 1)

@@ -61,7 +61,7 @@ class FrameTotals:
     def add_estimate(
         self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: list[float], error: float
     ) -> None:
-        """Add an accepted piece's estimated errors of T_1, T_2, ... [m], and of its chosen combination [m]."""
+        """Add an accepted piece's error estimates [m]: of 1, 2, ... combined runs, and of the chosen number."""
         changes = [tableau.change(k) for k in range(1, len(errors) + 1)]
         known = prediction.error, prediction.activity, tableau.jerk_change
         sums = ErrorSums(tableau.counts, tableau.duration, errors, changes, error, *known)

@@ -47,7 +47,7 @@ _INLINE_EXECUTOR = _InlineExecutor()
 
 
 def _lower_executor(is_worth_a_thread: bool) -> Executor:
-    """Return the executor of the lower part: the second thread if it pays and is available, else the caller's."""
+    """Return the executor for a matrix's lower half: the second thread if it pays and is free, else the caller's."""
     return _second_thread() if is_worth_a_thread and available_threads() > 1 else _INLINE_EXECUTOR
 
 

@@ -64,7 +64,7 @@ def amplification(n_runs: int) -> float:
 
 @lru_cache(maxsize=1024)
 def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the weights w of the combination T_K of K runs with step counts n: exact ratios, rounded once.
+    """Return the weights by which K runs with step counts n are combined to order K + 1: exact ratios, rounded once.
 
     Divided differences of 1, n, ..., n^(K - 2) vanish, and that of n^K is the sum of the n. Therefore the weights are
     ``w_i = n_i^K / (sum of n * product of n_i - n_j over j != i)``.
@@ -75,7 +75,7 @@ def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
 
 @lru_cache(maxsize=1024)
 def error_coefficient(counts: tuple[int, ...]) -> float:
-    """Return the coefficient of the leading error of T_K for K runs of step counts n: |sum of w n^-(K + 1)|.
+    """Return the leading error's coefficient of K combined runs with step counts n: |sum of w n^-(K + 1)|.
 
     For an interval of length H the error is this coefficient times H^(K + 1), times what depends on the motion alone.
     """
@@ -91,7 +91,7 @@ def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
 
 
 class ExtrapolationTableau:
-    """Leapfrog runs over one interval and their combinations T_K; runs are computed on demand.
+    """Leapfrog runs over one interval and the combinations T_K of the first K of them; computed on demand.
 
     Args:
         plan: equations of motion.
@@ -141,7 +141,7 @@ class ExtrapolationTableau:
         self._contact_summaries: dict[int, tuple[float, float, tuple[float, float]]] = {}
 
     def combine(self, n_runs: int) -> tuple[Array, Array]:
-        """Return positions [m] and velocities [m/s] of the combination T_K of K = n_runs runs, (3, n) each."""
+        """Return positions [m] and velocities [m/s] at the end of n_runs combined runs, (3, n) each."""
         if n_runs not in self._combined:
             self._make_runs(n_runs)
         if n_runs not in self._combined:
@@ -150,7 +150,7 @@ class ExtrapolationTableau:
         return self._combined[n_runs]
 
     def summary(self, n_runs: int) -> RunSummary:
-        """Return the summary of T_K, K = n_runs: activity, spectral bounds and contact at its end."""
+        """Return the summary of n_runs combined runs: activity, spectral bounds and contact at their end."""
         if n_runs not in self._summaries:
             self._make_runs(n_runs)
         if n_runs not in self._summaries:
@@ -158,7 +158,7 @@ class ExtrapolationTableau:
         return self._summaries[n_runs]
 
     def _summarize(self, n_runs: int) -> RunSummary:
-        """Calculate the summary of T_K, K = n_runs, for runs that the engine did not combine in one call."""
+        """Calculate the summary of n_runs combined runs that the engine did not combine in one call."""
         x, v = self.combine(n_runs)
         # The motion of prescribed particles is given.
         free = self._plan.free_particles()
@@ -190,14 +190,14 @@ class ExtrapolationTableau:
         return self._runs[0].jerk_change
 
     def change(self, n_runs: int) -> tuple[float, float]:
-        """Return the largest distances of positions [m] and of velocities [m/s] of T_(K+1) from those of T_K."""
+        """Return the largest change of a position [m] and a velocity [m/s] if one run more than n_runs is combined."""
         if n_runs not in self._changes:
             (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
             self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
         return self._changes[n_runs]
 
     def difference(self, n_runs: int) -> float:
-        """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
+        """Return the error estimate of n_runs combined runs [m]: the distance from the combination of one run more.
 
         It is the largest distance of a particle's positions, plus the displacement that the difference of velocities
         causes later. Slow waves keep that difference, fast ones lose it within a period. A jaw's half opening counts
@@ -217,7 +217,7 @@ class ExtrapolationTableau:
         return self._distances[n_runs]
 
     def approximate_difference(self, n_runs: int) -> float:
-        """Return `difference` approximately [m], without force evaluations.
+        """Return the error estimate of n_runs combined runs [m] approximately, without force evaluations.
 
         Velocities displace in proportion to their difference, as in the last call of `difference`. It shows which runs
         are worth a try; the error of those that are taken is a `difference`.
@@ -226,7 +226,7 @@ class ExtrapolationTableau:
         return max(distance + self._velocity_weight * velocity_change, self._jaw_difference(n_runs))
 
     def jaws(self, n_runs: int) -> Array | None:
-        """Return the jaw states at the end of T_K, K = n_runs; None without parallel grippers."""
+        """Return the jaw states at the end of n_runs combined runs; None without parallel grippers."""
         contact = self._plan.contact
         if contact is None or not contact.force.jaws:
             return None
@@ -234,7 +234,7 @@ class ExtrapolationTableau:
         return contact.combine_jaws(self._runs[:n_runs], weights(self.counts[:n_runs]))
 
     def _jaw_difference(self, n_runs: int) -> float:
-        """Return the largest difference of jaws of T_(K+1) from T_K [m]: half openings, or speeds times `jaw_time`."""
+        """Return the largest change of a jaw [m] if one run more is combined: half opening, or speed times a time."""
         next_jaws, jaws = self.jaws(n_runs + 1), self.jaws(n_runs)
         if next_jaws is None or jaws is None:
             return 0.0
@@ -242,7 +242,7 @@ class ExtrapolationTableau:
         return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._jaw_time)
 
     def contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
-        """Return the largest contact energies and self-contact rates in the runs of T_K; zeros without contact.
+        """Return the largest contact energies and self-contact rates in the first n_runs runs; zeros without contact.
 
         Returns:
             Energy per mass, in U^2/2, that contact had to absorb, or would have had to in a completed approach; the
@@ -258,7 +258,7 @@ class ExtrapolationTableau:
         return self._contact_summaries[n_runs]
 
     def commit(self, n_runs: int, state: State) -> None:
-        """Write the end of T_K, K = n_runs, into a state: positions, velocities, and the memory that runs change."""
+        """Write the end of n_runs combined runs into a state: positions, velocities, and memory that runs change."""
         state.x, state.v = self.combine(n_runs)
         if not self._plan.has_end_memory:
             return
@@ -267,7 +267,7 @@ class ExtrapolationTableau:
         state.memory |= self._plan.combine_ends(end, state.x, state.v, runs, run_weights, self._start.memory)
 
     def work(self, n_runs: int) -> float:
-        """Return the external work [J] over T_K, K = n_runs.
+        """Return the external work on the cloth [J] over the interval, by n_runs combined runs.
 
         It is the work of grippers, and, if recorded, of obstacles, moving air and growing contact thickness.
         """
@@ -277,7 +277,7 @@ class ExtrapolationTableau:
         return accumulator.work + accumulator.wind_work + accumulator.recovery_work
 
     def accumulate(self, n_runs: int, accumulator: WorkAccumulator) -> None:
-        """Add the wrench and work integrals of T_K, extrapolated with its weights, to an accumulator."""
+        """Add the wrench and work integrals of n_runs combined runs to an accumulator."""
         self._make_runs(n_runs)
         runs, counts = self._runs[:n_runs], self.counts[:n_runs]
         accumulate_runs(accumulator, self._plan, self._start, self.t, self.duration, runs, counts, weights(counts))

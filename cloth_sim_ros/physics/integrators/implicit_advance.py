@@ -283,7 +283,7 @@ class ImplicitAdvance:
         return ImplicitStep(end, end_v, k2v, error, stages)
 
     def _descent_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
-        """Return an implicit Euler step that decreases its objective and creates no energy.
+        """Return an implicit Euler step by descent, for steps without a solution: stable, but inaccurate.
 
         Returns:
             The step; None if an obstacle intersects the cloth for every result.

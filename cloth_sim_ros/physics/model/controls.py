@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 # Without slots: a member keeps the validated arrays.
 @attrs.frozen(eq=False, slots=False)
 class Grasps:
-    """Grasped particles: gripper g grasps ``particles[starts[g]:starts[g + 1]]``."""
+    """Grasped particles of all grippers, with springs: gripper g grasps ``particles[starts[g]:starts[g + 1]]``."""
 
     #: First grip of each gripper, shape (grippers + 1,), int64.
     starts: NDArray[np.int64]
@@ -40,7 +40,7 @@ class Grasps:
 
     @property
     def prescribed_particles(self) -> NDArray[np.int64]:
-        """Particles that follow their points exactly, ascending."""
+        """Grasped particles that follow their points on the gripper exactly, ascending."""
         cached: NDArray[np.int64] | None = self.__dict__.get("_prescribed_particles")
         if cached is None:
             selected = self.particles[:0] if self.prescribed is None else self.particles[self.prescribed]

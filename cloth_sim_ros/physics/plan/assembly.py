@@ -147,7 +147,7 @@ class Assembly:
         return CONSTANTS.operation_time * total / count + python_cost
 
     def hinge_cost(self) -> float:
-        """Return the part of `step_cost` that hinges take [ns]."""
+        """Return the estimated time of a step for one particle that hinge forces take [ns], a part of `step_cost`."""
         total = sum(self._operations(part) for part in self.element_lists if part.kind in HINGE_KINDS)
         return CONSTANTS.operation_time * total / self.model.particle_count
 

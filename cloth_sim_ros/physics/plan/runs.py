@@ -87,7 +87,7 @@ class Run(NamedTuple):
 
     @property
     def contact_summary(self) -> tuple[float, float, tuple[float, float]]:
-        """`encountered_energy`, `min_gap` and `self_contact` in one read."""
+        """Largest contact energy, least gap [m] and stiffest self-contact of the run: three properties in one read."""
         size = self._base_size
         if len(self.integrals) == size:
             return 0.0, math.inf, (0.0, 0.0)

@@ -133,7 +133,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
 def _check_table(
     contents: str, memory: Mapping[str, np.ndarray], table: _Table, length_arrays: Mapping[str, str]
 ) -> bool:
-    """Check arrays that occur together, or none of them; return whether they occur.
+    """Check type and shape of arrays of which a memory has all or none; return true if it has them.
 
     Args:
         contents: their owner, for messages.

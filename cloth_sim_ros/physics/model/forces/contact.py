@@ -168,7 +168,7 @@ class Contact(EngineForce):
     def start_recovery(
         self, t: float, duration: float = 0.0, thickness: Array | None = None, start: Array | None = None
     ) -> None:
-        """Start the recovery of a reduced contact thickness.
+        """Start the growth of a reduced contact thickness from `start` to `thickness` [m] over a duration [s].
 
         Args:
             t: start of the recovery [s].

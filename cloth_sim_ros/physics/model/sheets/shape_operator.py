@@ -227,7 +227,7 @@ def _monomials(places: Array) -> Array:
 
 
 def _independent(gram: Array, has_neighbour: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the neighbours whose functions are independent, (m, 3): all, or the best pair, or one."""
+    """Return a mask of neighbours that determine a curvature independently, (m, 3): all, the best pair, or one."""
     size = np.sqrt(np.where(has_neighbour, np.stack([gram[:, i, i] for i in range(3)], axis=1), 1.0))
     cosines = {(i, j): gram[:, i, j] / (size[:, i] * size[:, j]) for i, j in _PAIRS}
     a, b, c = (cosines[pair] for pair in _PAIRS)
@@ -283,7 +283,7 @@ def _curvature_weights(
 
 
 def _merged(particles: NDArray[np.int64], weights: Array) -> tuple[NDArray[np.int64], Array]:
-    """Add the weights of equal particles in each row; particles ascend, -1 after the last."""
+    """Merge equal particles in each row by adding their weights; particles ascend, -1 after the last."""
     order = np.argsort(particles, axis=1, kind="stable")
     ascending = np.take_along_axis(particles, order, axis=1)
     is_new = np.diff(ascending, axis=1, prepend=-1) > 0

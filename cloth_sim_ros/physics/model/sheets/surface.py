@@ -237,7 +237,7 @@ def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
 
 
 def grid_hinges(rows: int, columns: int) -> IndexArray:
-    """Return the hinges of a grid's bending stiffness, for every shear layout: those of both checkerboards, (m, 4).
+    """Return the hinges that carry a grid's bending stiffness in every shear layout: of both checkerboards, (m, 4).
 
     One checkerboard has two kinds of particle, with four and with eight edges. In bending they move against each other,
     and the sheet has a Poisson's ratio of -1/3. A grid cut along one family of diagonals twists. The two checkerboards
