@@ -200,9 +200,9 @@ _BRIEF = frozenset(
 
 @cache
 def library() -> ctypes.CDLL:
-    """Load the library for this machine's widest vectors; all libraries give the same bits.
+    """Load the engine's library: for this machine's widest vectors, or the one that CLOTH_SIM_ROS_ENGINE names.
 
-    The environment variable CLOTH_SIM_ROS_ENGINE names another one: an instruction set, or a path.
+    The environment variable names an instruction set, or a path. All libraries give the same bits.
 
     Raises:
         EngineError: if there is none that this machine can run; the message says how to build it.

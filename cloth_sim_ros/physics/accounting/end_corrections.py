@@ -30,7 +30,7 @@ def accumulate_runs(
     counts: Sequence[int],
     weights: Sequence[float],
 ) -> None:
-    """Add the wrench and work integrals of a weighted combination of runs to an accumulator, corrected at their ends.
+    """Add wrench and work integrals of combined runs to an accumulator, with end corrections for moving obstacles.
 
     Args:
         accumulator: the accumulator.

@@ -81,7 +81,7 @@ class WorkAccumulator:
         self._obstacle_sums[:] += rates
 
     def add_gripper_impulses(self, impulses: Array) -> None:
-        """Add each gripper's impulse, work and dissipation of a sudden change, shape (grippers, RECORD_NUMBERS)."""
+        """Add each gripper's impulse, work and dissipation at a jump of velocities, (grippers, RECORD_NUMBERS)."""
         self._sums = self._sums.copy()
         self._gripper_sums[:] += impulses
 

@@ -256,7 +256,7 @@ class ContactBinding(Uncopyable):
     def combine_anchors(
         self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float], memory: StateMemory
     ) -> Array:
-        """Return the friction anchors of a weighted combination of runs, from those at the end of each run.
+        """Combine the friction anchors at the ends of runs by weights, and return them to the cone of friction.
 
         Args:
             t: time of the combined state [s].

@@ -37,7 +37,7 @@ _MAX_ROUNDS = 12
 
 
 def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
-    """Return true if a mesh of vertices (m, 3) [m] and triangles (t, 3) is closed without repair."""
+    """Return true if a mesh is closed, and neither degenerate nor inside out, without repair."""
     try:
         check_closed(vertices, triangles, _MAX_COORDINATE)
     except ValueError:
@@ -56,7 +56,7 @@ def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array,
 def closed_solid(
     vertices: Array, triangles: NDArray[np.int64], limit: float
 ) -> tuple[Array, NDArray[np.int64], tuple[str, ...]]:
-    """Close rounding gaps of a mesh: merge copies of vertices, join flat triangles, split edges; holes stay.
+    """Close rounding gaps of a mesh by merging, joining and splitting; return vertices, triangles and notes.
 
     Args:
         vertices: positions [m], shape (m, 3).

@@ -42,7 +42,7 @@ def reduced_thickness(gaps: Array, thickness: float) -> Array | None:
 
 
 def grown_thickness(reduced: Array, gaps: Array, thickness: float, duration: float) -> Array | None:
-    """Return the thickness [m] of each contact after growth for a duration [s]; None if none grows.
+    """Return the thickness [m] of each contact, grown for a duration [s] if the cloth follows; None if none grows.
 
     Args:
         reduced: present thickness of each contact [m].

@@ -269,7 +269,10 @@ class Controller:
         return steps, 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
 
     def _count_fewest_steps(self, n_runs: int) -> int:
-        """Return the least number of steps of the first run: 2 for the activity of a single run, else 1."""
+        """Return the least number of steps of the first run: 2 for a single run with a tolerance, else 1.
+
+        The activity of a single run needs two halves.
+        """
         return 2 if n_runs == 1 and self._has_tolerance else 1
 
     def _required_refinement(self, n_runs: int, length: float) -> float:

@@ -103,7 +103,7 @@ class ErrorEstimate:
                 errors[k - 1] = errors[k]
 
     def sufficient_runs(self, n_runs: int, allowed: float) -> int:
-        """Return a number of runs whose error fits a budget [m]: the chosen one if it fits, or if none does.
+        """Return the chosen number of runs if its error fits a budget [m], else the least that fits, else the chosen.
 
         If the motion is rough, the errors of all further runs must fit too.
         """
@@ -192,7 +192,7 @@ class ErrorRule:
         activity: float,
         jerk_change: float = 0.0,
     ) -> tuple[float, float]:
-        """Return predicted errors of a piece [m]: of the chosen combination, and of that of one run less.
+        """Return the predicted errors of a piece [m] by its runs, and by one run less; infinite if the motion changed.
 
         Args:
             counts: step counts of the combined runs.

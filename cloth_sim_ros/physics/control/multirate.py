@@ -65,7 +65,7 @@ class MultirateRule:
             self.ratio = 1
 
     def choose(self, x: Array, max_step: float, duration: float, n_runs: int) -> None:
-        """Choose the multirate ratio of least cost, for an advance with an error estimate.
+        """Choose the multirate ratio of least cost; 1 if runs are combined, and for some estimates after that.
 
         A refinement for accuracy keeps the ratio, so that the error decreases with its order. The error of impulses is
         m^2 times that of steps. It would cost further runs if more than one is combined, so the ratio is then 1, and

@@ -61,7 +61,7 @@ class PrecisionRule:
             self.noise.store(state)
 
     def measure(self, t: float, state: State, step: float, n_runs: int) -> int:
-        """Measure the effect of single precision by two short runs, if it is unknown and could fit the budget.
+        """Measure the effect of single precision by two short runs, unless it is known; return the evaluations spent.
 
         Args:
             t: time at the start [s].

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Controls: inputs of a frame.
+"""Controls: inputs of a frame for grips, obstacles and jaws.
 
 They are grasped particles, the paths of grippers, obstacles and jaws, jaw commands, and the recovery of thickness.
 Controls are never changed, but replaced. Therefore a plan knows by identity if it has uploaded them, and a snapshot

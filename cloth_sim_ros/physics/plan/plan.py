@@ -443,7 +443,7 @@ class Plan(PlanQueries, Uncopyable):
         return ends
 
     def update_after_step(self, t: float, h: float, state: State) -> float:
-        """Update jaws, friction anchors and plastic lengths of a state after a step that held them constant.
+        """Update jaws, friction anchors and plastic lengths after a step that held them; return dissipated work [J].
 
         Args:
             t: time at the end of the step [s].

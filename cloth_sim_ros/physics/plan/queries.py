@@ -116,7 +116,7 @@ class PlanQueries:
         return float(out[0])
 
     def velocity_displacement(self, t: float, x: Array, errors: Array, time: float) -> tuple[float, int]:
-        """Return the largest displacement of a particle [m] that velocity errors cause within a time [s].
+        """Return the largest displacement [m] that velocity errors cause within a time [s], and the evaluations spent.
 
         It is the largest particle of (A + 1/time^2)^(-1/2) e with A = M^-1 K, by the Lanczos method
         (docs/derivations/time_stepping.md). Contact, friction of bending, grips and forces in Python are left out,
@@ -195,7 +195,7 @@ class PlanQueries:
         return _NO_PARTICLES if self._grip_binding is None else self._grip_binding.prescribed_particles
 
     def free_particles(self) -> NDArray[np.bool_]:
-        """Return true for each particle that is neither anchored nor prescribed, shape (n,)."""
+        """Return a mask of the particles that are neither anchored nor prescribed by a gripper, shape (n,)."""
         is_free = self.model.inverse_masses > 0.0
         is_free[self.prescribed_particles()] = False
         return is_free

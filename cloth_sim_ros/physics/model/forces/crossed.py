@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Crossed springs (S8): the lecture's second bending spring.
+"""Crossed springs (S8): bending springs between a hinge's edge and its wings' line.
 
-It connects the shared edge with the bending spring.
+S8 is the lecture's second bending spring.
 """
 
 from __future__ import annotations

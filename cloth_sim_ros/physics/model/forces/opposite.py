@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Opposite springs (S7): the lecture's bending spring.
+"""Opposite springs (S7): bending springs between the opposite vertices of two triangles.
 
-It connects the opposite vertices of two triangles with a common edge.
+The triangles share an edge. S7 is the lecture's bending spring.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ class Chain:
         return {"none": [], "first": [0], "last": [last], "both": [0, last]}[self.anchored]
 
     def masses(self) -> Array:
-        """Particle masses [kg], shape (particle_count,)."""
+        """Particle masses [kg], halved at the ends if `half_ends`, shape (particle_count,)."""
         masses = np.full(self.particle_count, self.law.mass)
         if self.half_ends:
             masses[[0, -1]] *= 0.5

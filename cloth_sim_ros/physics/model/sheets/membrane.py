@@ -83,7 +83,7 @@ class FabricModuli:
         return self.warp / (1.0 - self.coupling_square), self.poisson_ratio * weft, weft, self.shear
 
     def growth(self) -> Array | None:
-        """Return Green's strains at which C11, C22 and G stop growing, and their increase there [N/m], shape (3, 2).
+        """Return Green's strains at which C11, C22 and G stop growing, and their increase [N/m], (3, 2), or None.
 
         None if they are constant.
         """

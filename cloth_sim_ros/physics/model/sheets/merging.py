@@ -34,7 +34,7 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dt
 
 
 def merge_limit(points: Array, *, single_precision: bool = False) -> float:
-    """Return the distance below which two vertices of a mesh are copies of one [m].
+    """Return the distance [m] below which two vertices are copies of one: 1e-7 of the mesh's extent, or rounding.
 
     Args:
         points: vertices [m], (n, 3).
@@ -58,7 +58,7 @@ def merge_limit(points: Array, *, single_precision: bool = False) -> float:
 
 
 def clusters(points: Array, limit: float) -> NDArray[np.int64]:
-    """Return for each vertex the lowest vertex of its cluster of copies, (n,).
+    """Return for each vertex the lowest vertex of its cluster of copies, or itself if the cluster is wide, (n,).
 
     Args:
         points: different finite vertices [m], (n, 3).

@@ -107,7 +107,7 @@ class RawSprings:
         return self.surface_triangles
 
     def edge_lengths(self) -> Array:
-        """Return the rest lengths of each triangle's edges [m], shape (m, 3).
+        """Return the lengths of triangles' edges [m], (m, 3): of a spring at rest, or else of the start.
 
         An edge with a spring has its rest length, because the start may be stretched; other edges have their distance
         at the start.

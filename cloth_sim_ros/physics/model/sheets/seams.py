@@ -59,7 +59,7 @@ def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> OpenSeam | None:
-    """Summarize border vertices that nearly touch but are not joined; None if there are none.
+    """Summarize a mesh's border vertices that nearly touch but are not joined; None if there are none.
 
     Args:
         points: vertices [m], (n, 3).
@@ -126,7 +126,7 @@ def _edge_distances(
 def near_edges(
     points: Array, border: NDArray[np.int64], tree: object, lengths: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return pairs of a border edge and a border vertex inside the sphere with the edge as its diameter.
+    """Return pairs of a border edge and a border vertex in the sphere on the edge; none if there are too many.
 
     Args:
         points: vertices [m], (n, 3).

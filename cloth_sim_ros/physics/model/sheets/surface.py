@@ -175,7 +175,7 @@ class Surface:
 
 
 def opposite_pairs(hinges: ArrayLike, existing: ArrayLike | None = None) -> IndexArray:
-    """Return the pairs of opposite vertices that S7 connects, (p, 2), in the order of the hinges.
+    """Return the pairs of opposite vertices that S7 connects, existing springs left out, in the hinges' order, (p, 2).
 
     Across a cell of layout `both` the opposite vertices are the other diagonal. Pairs of existing springs are left out;
     therefore no spring is counted twice.
@@ -199,7 +199,7 @@ def needs_opposite_spring(hinges: ArrayLike, existing: ArrayLike | None = None) 
 
 
 def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
-    """Return the triangles of a grid of rows x columns particles, (2 (rows-1) (columns-1), 3).
+    """Return the triangles of a grid of particles, two a cell, cut as its layout says, (2 (rows-1) (columns-1), 3).
 
     Particle indices are `row * columns + column`. The layout selects the diagonal that cuts cell (r, c), r and c
     counted from 0.
@@ -226,9 +226,9 @@ def grid_cells(rows: int, columns: int) -> IndexArray:
 
 
 def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
-    """Return the particle pairs of a grid's diagonal shear springs, in the order of cells, (d, 2): one a cell.
+    """Return the particle pairs of a grid's diagonal shear springs, (d, 2): one a cell, or two for layout `both`.
 
-    For layout `both` there are two (left, then right).
+    They are in the order of cells, and of two the left one comes first.
     """
     p00, p01, p10, p11, left = _cells(rows, columns, layout)
     if layout == "both":
