@@ -243,7 +243,7 @@ def _prepared(path: Path) -> ctypes.CDLL:
 
 
 def engine_name() -> str:
-    """Name of the instruction set in use."""
+    """Name of the loaded library's instruction set, such as avx2."""
     return str(library().cloth_engine_name().decode())
 
 

@@ -138,7 +138,7 @@ def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
 
 
 def describe(compiler: Sequence[str]) -> str:
-    """Output of a compiler's `--version`.
+    """Version of a compiler, as its `--version` prints it.
 
     Raises:
         BuildError: if it does not run.
@@ -331,7 +331,7 @@ def run(command: list[str], output: Path, *, name: str, version: str, sources: P
 
 
 def main() -> int:
-    """Command line; returns the exit status."""
+    """Build the engine's libraries by options of the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--only", action="append", choices=INSTRUCTION_SETS, help="name of a library; by default all for this machine"

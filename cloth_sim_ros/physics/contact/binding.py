@@ -383,7 +383,7 @@ class ContactBinding(Uncopyable):
     def _predict_obstacle_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict contact energy per mass at obstacles, and numbers of particles near all and near rough ones."""
+        """Predict contact energy per mass at obstacles, and numbers of particles in reach of all and of rough ones."""
         if not self.count:
             return 0.0, 0.0, 0.0
         self.upload(memory)
@@ -479,7 +479,7 @@ class ContactBinding(Uncopyable):
         return bool(out[0]) or self.ccd_surface_hits(t, duration, start, end, memory)
 
     def check_initial_penetration(self, t: float, x: Array, memory: StateMemory) -> None:
-        """Refuse a cloth that an obstacle penetrates between its particles, or that penetrates itself.
+        """Raise an error if an obstacle comes through the cloth between particles, or the cloth through itself.
 
         See `initial_penetration`.
         """

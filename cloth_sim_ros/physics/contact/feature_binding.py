@@ -82,7 +82,7 @@ class FeatureBinding(Uncopyable):
         return obstacle, a, b
 
     def check_initial_penetration(self, t: float, x: Array, names: Sequence[str]) -> None:
-        """Refuse a cloth that an obstacle penetrates at time t [s].
+        """Raise an error if a corner or edge of an obstacle comes through the cloth at time t [s].
 
         Raises:
             ValueError: for such a cloth, naming the obstacle, the particles and the position.

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 
 
 def upload_surface(handle: int, contact: Contact) -> None:
-    """Upload the surface of self-contact, if there is one, and the friction between its layers."""
+    """Upload the surface of self-contact, its joints and the friction between its layers, if there are any."""
     surface = contact.surface
     if surface is None:
         return

@@ -35,7 +35,7 @@ class ContactStepLimit:
 
     @property
     def sheet_limit(self) -> float:
-        """Stability limit of the step without contact [s], from the last spectral bounds of springs and hinges."""
+        """Stability limit of the step [s] without contact, from the model's last spectral bounds."""
         return self._options.step_limit(self._stability.omega2, self._stability.damping)
 
     def predicted_limit(self, t: float, duration: float, state: State) -> float:

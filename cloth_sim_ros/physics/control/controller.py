@@ -169,7 +169,7 @@ class Controller:
 
     @property
     def has_explicit_fallback(self) -> bool:
-        """True if explicit steps within the reserve are the fallback."""
+        """True if explicit steps in the reserved work are the fallback: with contact, tolerance, and not used yet."""
         return self._may_touch and self._has_tolerance and not self.in_fallback
 
     def use_reserve(self) -> None:

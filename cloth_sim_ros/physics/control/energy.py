@@ -80,7 +80,7 @@ class EnergyRule:
         return None if rise > 0.0 and energy_drift > max_drift else energy_drift
 
     def accept(self, omega2: tuple[float, float], energy_drift: float | None) -> None:
-        """Record an accepted run whose error is unknown: its energy drift and spectral bounds.
+        """Record an accepted run whose error is unknown: its energy drift and squared frequency.
 
         Args:
             omega2: bounds of the squared frequency at its start and at its end [1/s^2].

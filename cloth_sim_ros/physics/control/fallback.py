@@ -22,7 +22,7 @@ FALLBACK_EVALUATIONS = 10.0 * CONSTANTS.implicit_finish_steps
 
 
 def is_implicit_feasible(plan: Plan) -> bool:
-    """Return True if the sheet is small enough for the implicit method.
+    """Return True if the sheet has few enough particles for the implicit method.
 
     A frame of a larger sheet would take half a minute and gigabytes of memory.
     """

@@ -94,7 +94,7 @@ class MultirateRule:
         return self._plan.multirate_step_cost(ratio) * ratio * math.ceil(steps / ratio)
 
     def _steps(self, ratio: int, max_step: float, duration: float) -> int:
-        """Return the number of steps that cover a duration [s], as long as stability at the ratio allows."""
+        """Return the number of the longest steps, stable at a multirate ratio, that cover a duration [s]."""
         return steps_for(duration, max_step / max(1.0, self.min_refinement(ratio, max_step)))
 
     def ratio_within(self, max_step: float, duration: float) -> tuple[int, float]:

@@ -185,7 +185,7 @@ class ExtrapolationTableau:
 
     @property
     def jerk_change(self) -> float:
-        """Change of jerk in the first run [m/s], see `Run.jerk_change`."""
+        """Largest change of a particle's jerk from start to middle of the first run, times T²/4 [m/s]."""
         self._make_runs(1)
         return self._runs[0].jerk_change
 

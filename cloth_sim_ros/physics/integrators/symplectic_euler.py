@@ -90,7 +90,7 @@ class SymplecticEuler(Integrator):
     def _take_steps(
         plan: Plan, state: State, t: float, h: float, steps: int, accumulator: WorkAccumulator | None
     ) -> None:
-        """Take equal steps of h [s] from time t [s]; the accumulator is reset before."""
+        """Move a state by equal steps of h [s] from time t [s], after a reset of the accumulator."""
         if accumulator is not None:
             accumulator.reset()
         a = np.empty_like(state.x)

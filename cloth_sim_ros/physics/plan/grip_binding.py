@@ -37,7 +37,7 @@ class GripBinding(Uncopyable):
         self._paths_shape = (self.count, binding.PATH_NUMBERS)
 
     def upload(self) -> None:
-        """Upload grasped particles and paths if they changed."""
+        """Upload grasped particles and paths of grippers to the engine if they changed."""
         controls, uploaded = self.force.controls, self._uploaded
         if controls is uploaded:
             return

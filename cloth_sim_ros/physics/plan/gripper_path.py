@@ -171,7 +171,7 @@ class PathPlanner:
     def plan(
         self, t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
     ) -> tuple[Array, Array, Array, list[float]]:
-        """Plan cubic paths from pose and twist to the targets over one frame.
+        """Plan cubic paths from pose and twist to the targets over one frame; return paths and end twists.
 
         The end velocity is the part of this frame's mean velocity that agrees with that of the last frame. A steady
         stream of targets is followed without ripple. A jump arrives at rest without overshoot (docs/design.md).

@@ -35,7 +35,7 @@ class PlasticLengths(Uncopyable):
         self._uploaded: Array | None = None
 
     def upload(self, memory: StateMemory) -> None:
-        """Upload the plastic lengths of a state's memory, if they changed.
+        """Upload the plastic lengths of a state's memory to the engine, if they changed.
 
         Raises:
             ValueError: for `MISSING_MEMORY`.

@@ -72,22 +72,22 @@ class Run(NamedTuple):
 
     @property
     def encountered_energy(self) -> float:
-        """Largest energy per mass that an obstacle contact absorbed in the run, in units of U^2/2, U = 35 m/s."""
+        """Largest energy per mass that an obstacle contact had to absorb in the run (unit U^2/2 of the contact law)."""
         return self.contact_summary[0]
 
     @property
     def min_gap(self) -> float:
-        """Least distance between surfaces in contact during the run [m]; infinite without contact."""
+        """Least gap between particles and obstacles during the run [m]; infinite without contact."""
         return self.contact_summary[1]
 
     @property
     def self_contact(self) -> tuple[float, float]:
-        """Squared frequency [1/s^2] and damping rate [1/s] of the stiffest self-contact during the run."""
+        """Bounds of squared frequency [1/s^2] and damping rate [1/s] of self-contact during the run."""
         return self.contact_summary[2]
 
     @property
     def contact_summary(self) -> tuple[float, float, tuple[float, float]]:
-        """Largest contact energy, least gap [m] and stiffest self-contact of the run: three properties in one read."""
+        """Largest contact energy, least gap [m] and bounds of self-contact of the run: three properties in one read."""
         size = self._base_size
         if len(self.integrals) == size:
             return 0.0, math.inf, (0.0, 0.0)

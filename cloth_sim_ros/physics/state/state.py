@@ -111,7 +111,7 @@ class State:
     __copy__ = copy
 
     def shallow_copy(self) -> State:
-        """Return a shallow copy with the same arrays, also in its memory.
+        """Return a copy that shares all arrays, those of its memory included.
 
         Code that moves a state replaces its arrays and never writes into them.
         """

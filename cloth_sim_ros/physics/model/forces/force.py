@@ -39,7 +39,7 @@ class Force:
     damps_waves: ClassVar[bool] = True
 
     def parts(self, particle_count: int) -> Sequence[Part] | None:
-        """Return the force's parts for the engine; None for a Python force.
+        """Describe the force to the engine by parts (springs, hinges, uniform, contact); None for a Python force.
 
         Raises:
             ValueError: if the force does not fit the number of particles.
@@ -81,7 +81,7 @@ class EngineForce(Force):
 
     @abstractmethod
     def parts(self, particle_count: int) -> Sequence[Part]:
-        """Return the force's parts for the engine.
+        """Describe the force to the engine by parts: element lists, spring grids, uniform forces, contact.
 
         Raises:
             ValueError: if the force does not fit the number of particles.

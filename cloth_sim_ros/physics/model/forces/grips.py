@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.old_names import with_old_names
 
 @with_old_names(go_back="restore", move="set_paths", noted="save", owners="gripper_indices")
 class Grips(EngineForce):
-    """Zero-length springs between grasped particles and points fixed to moving grippers.
+    """Grips: zero-length springs from grasped particles to points on grippers, or prescribed motions of particles.
 
     ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper. A grip may instead
     prescribe the motion of its particle, which then follows its point exactly (docs/derivations/prescribed_grip.md).

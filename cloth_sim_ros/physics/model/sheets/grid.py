@@ -52,7 +52,7 @@ class GridSheet:
         return (density * hx * hy * _border_weights(self.rows)[:, None] * _border_weights(self.columns)).ravel()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Triangles of the surface, shape (m, 3)."""
+        """Particle indices of the surface's triangles, shape (m, 3)."""
         return grid_triangles(self.rows, self.columns, self.layout)
 
     @property

@@ -34,7 +34,7 @@ class MeshSheet:
         return self.rest_positions.copy()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Triangles of the surface, shape (m, 3)."""
+        """Particle indices of the surface's triangles, shape (m, 3)."""
         return self.surface.triangles
 
     def areas(self) -> Array:

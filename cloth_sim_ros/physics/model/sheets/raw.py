@@ -103,7 +103,7 @@ class RawSprings:
         return self.mass.copy()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Return the triangles of the surface, shape (m, 3); empty if there is none."""
+        """Return the particle indices of the surface's triangles, shape (m, 3); empty if there is none."""
         return self.surface_triangles
 
     def edge_lengths(self) -> Array:
