@@ -182,7 +182,7 @@ class ContactBinding(Uncopyable):
 
     @property
     def thickness_shape(self) -> tuple[int, int]:
-        """Shape of arrays of one number a contact: rows obstacles and self, columns particles and obstacle edges."""
+        """Shape (obstacles + 1, particles + 1) of contact arrays: last row self-contact, last column obstacle edges."""
         return (self.count + 1, self._shape[1] + 1)
 
     def supports_single_precision(self, duration: float, x: Array, v: Array, memory: StateMemory) -> bool:
@@ -435,7 +435,7 @@ class ContactBinding(Uncopyable):
         return out
 
     def contact_gaps(self, t: float, x: Array, memory: StateMemory) -> Array:
-        """Return the gap [m] of each contact at time t [s], shape `thickness_shape`; infinite without contact.
+        """Return the gap [m] of each contact, shape (obstacles + 1, particles + 1); infinite without contact.
 
         Gaps of edges are doubled, because edges have half the thickness.
         """

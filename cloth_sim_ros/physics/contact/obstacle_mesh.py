@@ -151,7 +151,7 @@ def _signed_distance(p: Array, corners: Array) -> tuple[Array, Array]:
 
 
 def nearest_points(p: Array, corners: Array) -> Array:
-    """Return the nearest points of triangles (t, 3, 3) to points (m, 3), shape (m, t, 3).
+    """Return the point of each triangle (t, 3, 3) that is nearest to each point (m, 3), shape (m, t, 3).
 
     This is the foot on the triangle's plane if it lies inside the triangle, else the nearest foot on a side.
     """

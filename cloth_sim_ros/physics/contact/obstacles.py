@@ -121,7 +121,7 @@ class Obstacle:
         return math.sqrt(float(_squares(self.vertices).max()))
 
     def distance(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Return signed distances of points from the surface, negative inside, and outward unit normals.
+        """Return signed distances of points (in the obstacle's frame), negative inside, and outward unit normals.
 
         Args:
             points: positions in the obstacle's frame [m], shape (m, 3).

@@ -105,7 +105,7 @@ class ParallelJaw:
     def engine_row(
         self, present: bool, closed: bool, setpoint: Sequence[float] = NO_SETPOINT, thickness: float = 0.0
     ) -> tuple[float, ...]:
-        """Return the numbers by which the engine describes jaws and drive, see `binding.DRIVE_NUMBERS`.
+        """Return jaws and drive as a row for the engine: flags, inertia, force, speed, half openings, thickness.
 
         Args:
             present: true if the gripper has a pose.

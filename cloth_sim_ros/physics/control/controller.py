@@ -591,7 +591,7 @@ class Controller:
         return True
 
     def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
-        """Return runs and refinement that meet a target [m] with the fewest evaluations, from the piece's estimates."""
+        """Return number of runs and refinement that meet a target [m] with the fewest evaluations, by its estimates."""
         # The pieces of a stretch share the rounding error of one run, because it cancels over them.
         fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
         choice = self._estimate.errors, refinement, target, self._stability, piece.length

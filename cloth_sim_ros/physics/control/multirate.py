@@ -47,7 +47,7 @@ class MultirateRule:
 
     @property
     def bounds(self) -> Sequence[float]:
-        """Squared frequency [1/s^2] and damping rate [1/s] of hinges, and squared frequency across springs: bounds."""
+        """Bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges, and of that across springs [1/s^2]."""
         return self.memory.omega2, self.memory.damping, self.memory.transverse_omega2
 
     @bounds.setter

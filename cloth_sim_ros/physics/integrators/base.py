@@ -34,7 +34,7 @@ TOLERANCE = 1e-3
 
 @with_old_names(binds="limited_by")
 class Advance(NamedTuple):
-    """Result of one advance: steps, force evaluations, error estimate and limiting factor."""
+    """Report of one advance: steps, force evaluations, error estimate and limiting factor."""
 
     #: Total steps of the runs that make up the result.
     steps: int

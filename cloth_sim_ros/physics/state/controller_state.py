@@ -145,7 +145,7 @@ class ErrorState(ControllerState):
 
 @attrs.define
 class ContactState(ControllerState):
-    """State of `ContactStepLimit`: contact energy of the last frames; only scenes with contact have it."""
+    """State of `ContactStepLimit`: largest contact energy per mass of the last frame with an error estimate."""
 
     key = "control.contact"
 

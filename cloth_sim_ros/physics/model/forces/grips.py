@@ -62,7 +62,7 @@ class Grips(EngineForce):
         damping: Array,
         prescribed: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Set the grasped particles: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
+        """Set paths, grasped particles and their springs: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
 
         Args:
             paths: paths of the grippers, shape (gripper_count, PATH_NUMBERS).

@@ -69,7 +69,7 @@ class HingeSprings(EngineForce):
 
 
 def signed_lengths(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
-    """Return the signed lengths h [m] of hinges, shape (m,); NaN if undefined.
+    """Return the signed lengths h [m] of hinges at positions x (3, n), for a kind of length, (m,); NaN if undefined.
 
     Args:
         hinges: particles (edge0, edge1, wing0, wing1), shape (m, 4).

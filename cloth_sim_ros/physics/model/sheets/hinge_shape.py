@@ -185,7 +185,7 @@ class HingeShape:
         return np.maximum(height_part + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _squared_area(self, kind: Length) -> tuple[Array, Array, Array]:
-        """Return a, b, c of the squared area M² = a + b t + c t² [m^4], t the cosine of the fold."""
+        """Return a, b, c [m^4] of M² = a + b cos θ + c cos²θ in the length 6V/M of S8 or S9."""
         a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":
