@@ -26,7 +26,7 @@ _REMEDY = "start from another state, or set contact.self to false"
 
 
 def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]) -> None:
-    """Raise an error if the cloth is inside an obstacle at time t [s], by its least gap to each.
+    """Raise an error if the cloth is inside an obstacle at time t [s]: if its gap to one is not positive.
 
     Args:
         t: time [s].

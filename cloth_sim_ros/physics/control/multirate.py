@@ -123,7 +123,7 @@ class MultirateRule:
         return impulse_interval > self._max_impulse_interval(summary.hinge_bounds, 1.0)
 
     def _max_impulse_interval(self, bounds: Sequence[float], fraction: float) -> float:
-        """Return the longest stable interval [s] between hinge impulses, for such `bounds`, times a safety fraction."""
+        """Return the longest stable interval [s] between hinge impulses, by spectral bounds and a safety fraction."""
         omega2, damping, transverse_omega2 = bounds
         if omega2 <= 0.0:
             return math.inf

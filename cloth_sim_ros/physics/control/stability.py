@@ -57,7 +57,7 @@ class StabilityRule:
         return 1.0 if n_runs == 1 or self.is_damped(length) else 1.0 / UNDAMPED_LIMIT_FRACTIONS[n_runs - 1]
 
     def n_pieces(self, n_runs: int, steps: int, length: float) -> int:
-        """Return the number of pieces into which stability divides a length [s].
+        """Return the number of pieces to divide a length [s] into: each short, and of few steps without damping.
 
         Args:
             n_runs: number of combined runs.

@@ -84,7 +84,7 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
 
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
-    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of several such pairs."""
+    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] among several pairs."""
     if rates.count(rates[0]) == len(rates):
         return rates[0]
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)

@@ -201,7 +201,7 @@ class PlanQueries:
         return is_free
 
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
-        """Set x [m] and v [m/s] of prescribed particles to their gripper's, as `GripBinding.prescribe`."""
+        """Set x [m], v [m/s] of prescribed particles to their gripper's; return impulses, work and dissipation."""
         if self._grip_binding is None:
             return np.zeros((0, RECORD_NUMBERS))
         return self._grip_binding.prescribe(t, x, v)

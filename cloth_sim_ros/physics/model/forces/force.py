@@ -70,7 +70,7 @@ class Force:
         """Add particle blocks B [N/m] that bound the stiffness K at x: u'Ku <= sum over particles of u_i' B_i u_i."""
 
     def add_damping(self, x: Array, blocks: Array) -> None:
-        """Add particle blocks [N s/m] that bound the damping matrix as `add_stiffness` bounds the stiffness."""
+        """Add particle blocks B [N s/m] that bound the damping matrix D at x: u'Du <= sum of u_i' B_i u_i."""
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
