@@ -116,7 +116,7 @@ class ImplicitAdvance:
         self._exhausted = False
 
     def run(self) -> Advance:
-        """Move the state by the duration, in steps whose error fits the budget; return the report of the advance.
+        """Move the state by the duration, with finer steps until the error fits the budget or work runs out; report it.
 
         Raises:
             UnstableError: if the motion does not stay finite.

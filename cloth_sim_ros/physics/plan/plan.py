@@ -443,7 +443,9 @@ class Plan(PlanQueries, Uncopyable):
         return ends
 
     def update_after_step(self, t: float, h: float, state: State) -> float:
-        """Update jaws, friction anchors and plastic lengths after a step that held them; return dissipated work [J].
+        """Update jaws, friction anchors, plastic lengths after a step; return the work of bending friction [J].
+
+        The step held them constant.
 
         Args:
             t: time at the end of the step [s].
