@@ -38,7 +38,7 @@ _FUNCTIONS = {
 
 
 def rows(count: int, width: int) -> Array:
-    """Return a matrix of zeros: ``count`` block rows, each with ``width`` blocks beside the diagonal.
+    """Return a zero symmetric band matrix: ``count`` rows of 3x3 blocks, each with ``width`` blocks above the diagonal.
 
     Raises:
         ValueError: if one of them is negative.
@@ -50,7 +50,7 @@ def rows(count: int, width: int) -> Array:
 
 
 def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: Index) -> None:
-    """Add the blocks B that are chosen: the symmetric part on both diagonals of a pair, -B between them.
+    """Add 3x3 blocks B of chosen particle pairs: sym(B) to both particles' diagonal blocks, -B to the pair's block.
 
     Args:
         rows: the matrix.
@@ -89,7 +89,7 @@ def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: In
 
 
 def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) -> None:
-    """Add masses (n,) and particle blocks (6, n: xx, yy, zz, xy, xz, yz) to the diagonal at ``places`` (n,).
+    """Add masses (n,) and blocks (6, n: xx, yy, zz, xy, xz, yz) to the diagonal blocks of block rows ``places`` (n,).
 
     Raises:
         ValueError: if an argument does not fit the others.
@@ -106,7 +106,7 @@ def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) 
 
 
 def factor(rows: Array, inner: int) -> bool:
-    """Eliminate the first ``inner`` block rows of a positive definite matrix; return whether it was one.
+    """Eliminate the first ``inner`` block rows in place by Cholesky; return false unless they are positive definite.
 
     They are replaced by their rows of the Cholesky factor U (A = U'U), diagonals inverted; the others by their Schur
     complement. With all block rows that is the whole factorisation.
@@ -120,7 +120,7 @@ def factor(rows: Array, inner: int) -> bool:
 
 
 def forward(rows: Array, inner: int, y: Array) -> None:
-    """Eliminate the first ``inner`` unknowns from the right-hand side y (block rows, 3), after `factor`.
+    """Substitute forward in place: eliminate the first ``inner`` unknowns from the right-hand side y (block rows, 3).
 
     Raises:
         ValueError: if an argument does not fit the others.
@@ -129,7 +129,7 @@ def forward(rows: Array, inner: int, y: Array) -> None:
 
 
 def backward(rows: Array, inner: int, y: Array) -> None:
-    """Find the first ``inner`` unknowns of what `forward` left in y (block rows, 3), the others being solved.
+    """Substitute backward in place: solve y (block rows, 3) for its first ``inner`` unknowns; the others are solved.
 
     Raises:
         ValueError: if an argument does not fit the others.
@@ -138,7 +138,7 @@ def backward(rows: Array, inner: int, y: Array) -> None:
 
 
 def join(upper: Array, lower: Array, inner_upper: int, inner_lower: int, middle: Array) -> None:
-    """Set ``middle`` to the sum of two Schur complements of the same block rows, the lower one's in reverse order.
+    """Set ``middle`` to the sum of the Schur complements that `factor` left in ``upper`` and, reversed, ``lower``.
 
     Raises:
         ValueError: if an argument does not fit the others.
@@ -162,7 +162,7 @@ def join(upper: Array, lower: Array, inner_upper: int, inner_lower: int, middle:
 
 
 def cuthill_mckee(count: int, pairs: Index) -> Index:
-    """Return particles 0 ... count - 1 in an order in which those of a pair lie close together, shape (count,).
+    """Return particles 0 ... count - 1 in reverse Cuthill-McKee order, which brings pairs together, shape (count,).
 
     Cuthill and McKee's, reversed, from the best of a few starts; it depends on the set of pairs alone.
 
@@ -187,7 +187,7 @@ def cuthill_mckee(count: int, pairs: Index) -> Index:
 
 
 def fixed_sum(values: Array) -> float:
-    """Return the sum of an array, in an order that its size alone decides, on any machine.
+    """Return the sum of an array, added in an order that depends on its size alone: the same bits on any machine.
 
     Raises:
         ValueError: if it is not a contiguous array of float64.
@@ -213,14 +213,14 @@ def _function(name: str) -> Any:
 
 @cache
 def _padding() -> int:
-    """Numbers behind the blocks of each row."""
+    """Return the number of padding float64 at the end of each row of a matrix."""
     stride = library()["cloth_band_stride"]
     stride.argtypes, stride.restype = [ctypes.c_int64], ctypes.c_int64
     return int(stride(0)) - 3
 
 
 def _matrix(name: str, rows: Array) -> tuple[int, int, int]:
-    """Return the address, the block rows and the blocks beside the diagonal of a matrix."""
+    """Check a band matrix; return its address, number of block rows, and of blocks above the diagonal in a row."""
     address = _address(name, rows, _FLOAT, (None, 3, None), written=True)
     blocks, remainder = divmod(rows.shape[2] - _padding(), 3)
     if remainder or blocks < 1:
@@ -231,7 +231,7 @@ def _matrix(name: str, rows: Array) -> tuple[int, int, int]:
 def _address(
     name: str, array: Any, kind: np.dtype[Any], shape: tuple[int | None, ...], *, written: bool = False
 ) -> int:
-    """Return where the numbers of an array are, which is of a kind and of a shape, None for any size."""
+    """Check an array's type, shape (None: any size) and memory layout; return its address."""
     if not isinstance(array, np.ndarray):
         raise ValueError(f"{name} is a {type(array).__name__}: it has to be an array of {kind}")
     sizes = array.shape

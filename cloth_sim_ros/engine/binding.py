@@ -69,11 +69,11 @@ CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctyp
 
 
 class EngineError(RuntimeError):
-    """The engine is not built, or failed."""
+    """Error: the engine's library is not built, or a call of it failed."""
 
 
 class FrameRequest(ctypes.Structure):
-    """Request of a frame; the same layout as in plan/frame_request.hpp."""
+    """Input and output of one engine call, which computes leapfrog runs; a C struct as in plan/frame_request.hpp."""
 
     _fields_ = (
         ("t", ctypes.c_double),
@@ -200,9 +200,9 @@ _BRIEF = frozenset(
 
 @cache
 def library() -> ctypes.CDLL:
-    """Load the library for this machine's widest vectors; all libraries give the same bits.
+    """Load the engine's library: for this machine's widest vectors, or the one that CLOTH_SIM_ROS_ENGINE names.
 
-    The environment variable CLOTH_SIM_ROS_ENGINE names another one: an instruction set, or a path.
+    The environment variable names an instruction set, or a path. All libraries give the same bits.
 
     Raises:
         EngineError: if there is none that this machine can run; the message says how to build it.
@@ -243,12 +243,12 @@ def _prepared(path: Path) -> ctypes.CDLL:
 
 
 def engine_name() -> str:
-    """Name of the instruction set in use."""
+    """Name of the loaded library's instruction set, such as avx2."""
     return str(library().cloth_engine_name().decode())
 
 
 def check(status: int) -> None:
-    """Raise the error that a status of an engine function stands for.
+    """Raise the error that an engine function's status code reports; do nothing for status 0.
 
     Raises:
         MemoryError: if there is not enough memory.
@@ -274,7 +274,7 @@ def address(array: Any) -> int:
 
 
 def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
-    """Return the address of an array that the engine may read or write.
+    """Check that an array is contiguous float64 of a shape; return its address for the engine.
 
     Raises:
         ValueError: for another shape or type, or an array that is not C-contiguous or not aligned.
@@ -295,7 +295,7 @@ def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
 
 
 def writable(name: str, array: Array, shape: tuple[int, ...]) -> int:
-    """Return the address of an array that the engine may write.
+    """Check that an array is writable, contiguous float64 of a shape; return its address for the engine.
 
     Raises:
         ValueError: as `doubles` does, and for an array that is read-only.
@@ -307,7 +307,7 @@ def writable(name: str, array: Array, shape: tuple[int, ...]) -> int:
 
 
 def finite(name: str, value: Any, shape: tuple[int, ...], *, lower: float = -np.inf, one_for_all: bool = True) -> Array:
-    """Convert to a float64 array of finite numbers; a scalar is broadcast if `one_for_all`.
+    """Convert a value to a float64 array of a shape; refuse numbers that are not finite, broadcast a scalar.
 
     Raises:
         ValueError: for another shape, or a number that is not finite or below `lower`.
@@ -330,7 +330,7 @@ def finite(name: str, value: Any, shape: tuple[int, ...], *, lower: float = -np.
 
 
 def indices(name: str, value: Any, columns: int, stop: int) -> Indices:
-    """Convert to an int64 array of particle indices, shape (m, columns).
+    """Convert a value to an int64 array of particle indices, shape (m, columns); refuse indices outside 0 ... stop - 1.
 
     Raises:
         ValueError: for another shape, numbers that are not whole, or one that is not from 0 to below `stop`.

@@ -72,11 +72,11 @@ MACHINES = {"x86_64": ("baseline", "avx2", "avx512"), "aarch64": ("neon",)}
 
 
 class BuildError(RuntimeError):
-    """The engine can't be built; the message states cause and remedy."""
+    """Error: the engine can't be built; the message states cause and remedy."""
 
 
 class NoCompilerError(BuildError):
-    """There is no C++ compiler."""
+    """Error: no C++ compiler is installed."""
 
 
 def names_for(machine: str | None = None) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ def names_for(machine: str | None = None) -> tuple[str, ...]:
 
 
 def names_here() -> list[str]:
-    """Names of the libraries that this machine can run, the one that it loads first; all of `names_for` if unknown.
+    """Names of the libraries that this machine can run, the preferred one first; all of `names_for` if unknown.
 
     A package that is used in place needs no other: no other machine loads it.
     """
@@ -98,7 +98,7 @@ def names_here() -> list[str]:
 
 
 def file_name(name: str) -> str:
-    """The file of a library."""
+    """File name of a library: _avx2.so for the name avx2."""
     return f"_{name}.so"
 
 
@@ -114,7 +114,7 @@ def link_flags(name: str, *, sanitize: bool = False) -> list[str]:
 
 
 def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
-    """The command of the C++ compiler: $CXX if it is set, else the first that is there.
+    """The command of the C++ compiler: $CXX if it is set, else the first of `COMPILERS` that is installed.
 
     Raises:
         NoCompilerError: if there is none.
@@ -138,7 +138,7 @@ def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
 
 
 def describe(compiler: Sequence[str]) -> str:
-    """Output of a compiler's `--version`.
+    """Version of a compiler, as its `--version` prints it.
 
     Raises:
         BuildError: if it does not run.
@@ -159,12 +159,12 @@ def describe(compiler: Sequence[str]) -> str:
 
 
 def source_files(sources: Path = ENGINE) -> list[Path]:
-    """The sources of a library, sorted by path."""
+    """All C++ sources, headers and linker maps below a folder, sorted by path."""
     return sorted(path for pattern in PATTERNS for path in sources.glob(pattern))
 
 
 def translation_units(sources: Path = ENGINE) -> list[Path]:
-    """The sources that are compiled, sorted by path."""
+    """The .cpp files below a folder, sorted by path."""
     return [path for path in source_files(sources) if path.suffix == ".cpp"]
 
 
@@ -185,7 +185,7 @@ def included_files(unit: Path, sources: Path = ENGINE) -> list[Path]:
 def fingerprint(
     arguments: Sequence[str], version: str, sources: Path = ENGINE, files: Sequence[Path] | None = None
 ) -> str:
-    """Hash of sources, all if `files` is None, of the flags and the compiler, 40 hexadecimal digits."""
+    """Build id: hash of flags, compiler version and source files (all if None), 40 hexadecimal digits."""
     digest = hashlib.sha256("\0".join([*arguments, version]).encode())
     for path in source_files(sources) if files is None else files:
         content = path.read_bytes()
@@ -203,7 +203,7 @@ def is_current(library: Path, build_id: str) -> bool:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Lock a folder, so that the second of two builds at the same time finds the work done."""
+    """Lock a folder during a `with` block: a second build at the same time waits, then finds the work done."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -305,7 +305,7 @@ def compile_units(
 
 
 def replace(library: Path, make: Callable[[Path], object]) -> None:
-    """Make a file under another name, then rename it: a process that has loaded the old library keeps it."""
+    """Replace a file atomically by one that `make` writes; a process that has loaded the old library keeps it."""
     target = library.with_name(f"{library.name}.{os.getpid()}.new").absolute()
     try:
         make(target)
@@ -331,7 +331,7 @@ def run(command: list[str], output: Path, *, name: str, version: str, sources: P
 
 
 def main() -> int:
-    """Command line; returns the exit status."""
+    """Build the engine's libraries by options of the command line; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--only", action="append", choices=INSTRUCTION_SETS, help="name of a library; by default all for this machine"

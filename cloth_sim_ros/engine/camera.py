@@ -46,17 +46,17 @@ class DepthImage:
 
     @property
     def labels(self) -> NDArray[np.uint16]:
-        """Labels, shape (height, width); the next drawing changes them."""
+        """Label of each pixel's surface, 0 for none, shape (height, width); the next drawing changes them."""
         width, height = self._size
         return self._labels[: width * height].reshape(height, width)
 
     def clear(self) -> None:
-        """Remove all surfaces."""
+        """Set all inverse depths and labels to 0: no surface."""
         self._inverse.fill(0.0)
         self._labels.fill(0)
 
     def draw_triangles(self, placement: Array, x: Array, triangles: Indices, label: int, *, solid: bool) -> None:
-        """Draw triangles.
+        """Draw triangles into the image; each pixel keeps the nearest surface drawn so far.
 
         Args:
             placement: rotation matrix by rows and translation [m] from the vertices' frame to the camera's, 12 numbers.
@@ -91,7 +91,7 @@ class DepthImage:
         )
 
     def draw_solid(self, placement: Array, shape: str, size: ArrayLike, radius: float, label: int) -> None:
-        """Draw a solid shape, unless it contains the camera.
+        """Draw an obstacle's solid shape into the image, unless it contains the camera; the nearest surface stays.
 
         Args:
             placement: as in `draw_triangles`.

@@ -16,7 +16,7 @@ V4 = V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 
 
 def libraries(*, machine: str | None = None, cpuinfo: Path = Path("/proc/cpuinfo")) -> list[str]:
-    """Names of the libraries that run here, in order of preference; empty on a processor that has none.
+    """Names of the engine's libraries that this machine can run, preferred first; empty on an unsupported processor.
 
     Args:
         machine: as `uname -m` names it; this machine if None.
@@ -32,7 +32,7 @@ def libraries(*, machine: str | None = None, cpuinfo: Path = Path("/proc/cpuinfo
 
 
 def common_flags(cpuinfo: Path) -> frozenset[str]:
-    """The flags that all processors of the machine have: a thread may run on any of them."""
+    """CPU feature flags that all processors of the machine have, because a thread may run on any of them."""
     try:
         lines = cpuinfo.read_text(errors="replace").splitlines()
     except OSError:

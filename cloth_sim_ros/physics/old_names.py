@@ -17,7 +17,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def with_old_names(**new_names: str) -> Callable[[_Class], _Class]:
-    """Let a class answer to old names of its members.
+    """Return a class decorator that adds old names of members; reading one warns and returns the new member.
 
     Args:
         new_names: for each old name, the name of the member.
@@ -32,7 +32,7 @@ def with_old_names(**new_names: str) -> Callable[[_Class], _Class]:
 
 
 def with_old_arguments(**new_names: str) -> Callable[[_Function], _Function]:
-    """Let a function accept old names of its keyword arguments.
+    """Return a decorator: the function accepts old names of its keyword arguments, with a warning.
 
     Args:
         new_names: for each old name, the name of the argument.
@@ -52,7 +52,7 @@ def with_old_arguments(**new_names: str) -> Callable[[_Function], _Function]:
 
 
 class _OldName:
-    """Descriptor of an old name: warns, and returns the member with the new name."""
+    """Descriptor of a class member's old name: warns, and returns the member with the new name."""
 
     def __init__(self, old: str, new: str) -> None:
         self._old, self._new = old, new

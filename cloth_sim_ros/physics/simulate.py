@@ -24,7 +24,7 @@ MAX_ADVANCE = 1.0 / 60.0
 
 @attrs.frozen(eq=False, kw_only=True)
 class Motion:
-    """Result of `simulate`."""
+    """Result of `simulate`: positions and velocities at the requested times, and a report of each advance."""
 
     #: Requested times [s], shape (k,).
     times: Array
@@ -36,7 +36,7 @@ class Motion:
 
     @property
     def flagged(self) -> int:
-        """Number of advances whose estimated error exceeds the tolerance's share of their duration."""
+        """Number of advances whose estimated error exceeds their part of the tolerance."""
         return len([advance for advance in self.advances if advance.flagged])
 
 
@@ -50,7 +50,7 @@ def simulate(
     integrator: Integrator | None = None,
     on_progress: Callable[[float], object] | None = None,
 ) -> Motion:
-    """Advance a model and its state from time 0 to a later time.
+    """Simulate a model from time 0 to `until` [s]: move the state there, return the motion at requested times.
 
     The motion is divided into advances of at most 1/60 s. Each saved time ends an advance, so it is not interpolated.
     By default the work has no limit: an advance takes as many steps as its tolerance needs.

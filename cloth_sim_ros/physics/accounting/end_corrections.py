@@ -30,7 +30,7 @@ def accumulate_runs(
     counts: Sequence[int],
     weights: Sequence[float],
 ) -> None:
-    """Accumulate a weighted combination of runs, with end-point corrections for moving obstacles.
+    """Add wrench and work integrals of combined runs to an accumulator, with end corrections for moving obstacles.
 
     Args:
         accumulator: the accumulator.
@@ -50,7 +50,7 @@ def accumulate_runs(
 
 
 def end_correction(plan: Plan, start: State, run: Run, t: float, duration: float, steps: int) -> Array:
-    """Return the end-point correction of work and dissipation [J] of one run.
+    """Return the end-point correction (Euler-Maclaurin) of each obstacle's work and dissipation [J] in one run.
 
     The columns are those of `ContactBinding.wrench_rates`. Wrenches need no correction, because they are means of the
     impulses of the steps.
@@ -73,7 +73,7 @@ def end_correction(plan: Plan, start: State, run: Run, t: float, duration: float
 
 
 def _rate_change(plan: Plan, t: float, x: Array, v: Array, memory: StateMemory, offset: float) -> Array:
-    """Return the change of the rates if the state moves on uniformly by a time `offset` [s] from time t [s]."""
+    """Return the change of the obstacles' wrenches and powers from t to t + offset [s] at constant velocities."""
     contact = plan.contact
     assert contact is not None
     rates = contact.wrench_rates(t, x, v, memory)

@@ -41,7 +41,7 @@ class EnergyBalance:
         self._start = self._kinetic + potential
 
     def close(self, t: float, state: State) -> float:
-        """Add an advance that ended at time t [s]; return the residual so far [J]."""
+        """Add the accumulated advance, which ended at time t [s]; return the residual of the energy so far [J]."""
         sums = self.accumulator
         dissipation, work, wind_work, recovery_work = sums.dissipation, sums.work, sums.wind_work, sums.recovery_work
         self.dissipation += dissipation

@@ -52,7 +52,7 @@ class WorkAccumulator:
         self._sums, self._friction_work, self._recovery_work, self._duration = saved
 
     def add_runs(self, weights: Sequence[float], runs: Sequence[Run], duration: float) -> None:
-        """Add a weighted combination of runs over the same interval.
+        """Add the integrals of a weighted combination of runs over the same interval.
 
         Args:
             weights: dimensionless weight of each run.
@@ -76,27 +76,27 @@ class WorkAccumulator:
         self._duration += duration
 
     def add_obstacle_work(self, rates: Array) -> None:
-        """Add integrals of obstacles, shape (obstacles, RECORD_NUMBERS)."""
+        """Add integrals of wrench, power and dissipation of each obstacle, shape (obstacles, RECORD_NUMBERS)."""
         self._sums = self._sums.copy()
         self._obstacle_sums[:] += rates
 
     def add_gripper_impulses(self, impulses: Array) -> None:
-        """Add impulses, work and dissipation of grippers at one moment, shape (grippers, RECORD_NUMBERS)."""
+        """Add each gripper's impulse, work and dissipation at a jump of velocities, (grippers, RECORD_NUMBERS)."""
         self._sums = self._sums.copy()
         self._gripper_sums[:] += impulses
 
     def add_dissipation(self, work: float) -> None:
-        """Add energy [J] that friction of bending dissipated, if powers are recorded."""
+        """Add energy [J] that bending friction dissipated; ignored unless powers are recorded."""
         if self.record_power and work:
             self._sums = self._sums.copy()
             self._power_sums[0] += work
 
     def add_recovery_work(self, work: float) -> None:
-        """Add work [J] of contacts that regain their thickness."""
+        """Add work [J] on the cloth by contacts that regain their thickness."""
         self._recovery_work += work
 
     def add_sample(self, integrals: Array, duration: float, friction_work: float, recovery_work: float) -> None:
-        """Add one quadrature point, already multiplied by its weight [s].
+        """Add the wrenches and powers at one quadrature point, already multiplied by its weight [s].
 
         Args:
             integrals: numbers of grippers, dissipation and wind work, numbers of obstacles, as in `Run.integrals`.
@@ -176,7 +176,7 @@ def accumulate(
     *,
     record_obstacles: bool = True,
 ) -> None:
-    """Accumulate one quadrature point.
+    """Add the wrenches and powers of a state, times a quadrature weight [s], to an accumulator.
 
     Args:
         sums: the sums.

@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def largest_distance(x: Array, y: Array) -> float:
-    """Return the largest distance [m] between particles of two arrays (3, n); infinite if any entry is not finite."""
+    """Return the largest distance [m] of a particle between two arrays (3, n); infinite if an entry is not finite."""
     out, shape = ctypes.c_double(), (3, *x.shape[1:2])
     addresses = doubles("x", x, shape), doubles("y", y, shape)
     check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
@@ -47,7 +47,7 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
 
 
 def weighted_dot(masses: Array, a: Array, b: Array) -> float:
-    """Return the sum over particles of m a . b, added in the order of the particles.
+    """Return the mass-weighted scalar product: the sum over particles of m a . b, in the order of the particles.
 
     Args:
         masses: m [kg], shape (n,).

@@ -39,7 +39,7 @@ def integer_sum(numbers: Iterable[int]) -> int:
 
 
 def row_sum(rows: np.ndarray) -> np.ndarray:
-    """Return the sum of the rows of an array, added one after the other.
+    """Return the sum of an array over its first axis, added row after row.
 
     numpy's own sum of many rows is pairwise, in blocks that depend on its version.
     """
@@ -53,7 +53,7 @@ def dot_products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def root(value: float, degree: int) -> float:
-    """Return the root of a number of at least 0, accurate to a few roundings; infinity stays.
+    """Return the `degree`-th root of a number of at least 0, accurate to a few roundings; infinity stays.
 
     Newton's iteration from above decreases until rounding stops it.
 

@@ -45,7 +45,7 @@ PARTICLE_OPERATIONS, FRICTION_OPERATIONS, PAIR_OPERATIONS = 60, 150, 150
 
 
 class ContactBinding(Uncopyable):
-    """Engine binding of the contact of one plan.
+    """Engine binding of a plan's contact: uploads obstacles and controls, queries forces, gaps and bounds.
 
     Friction anchors, jaw states and reduced thickness belong to a state. Therefore queries take its memory. If it has
     none of them, there are no anchors, the jaws are open and contacts have the full thickness. The same holds for
@@ -89,7 +89,7 @@ class ContactBinding(Uncopyable):
         self._upload_obstacles()
 
     def _upload_obstacles(self) -> None:
-        """Upload obstacles and the law."""
+        """Upload obstacles (shapes, sizes, friction, meshes) and the parameters of the contact law."""
         force = self.force
         shapes = np.array([binding.SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
         sizes, paths = np.zeros((self.count, 3)), np.zeros((self.count, PATH_NUMBERS))
@@ -107,7 +107,7 @@ class ContactBinding(Uncopyable):
             self._features.upload(force.obstacles, force.thickness)
 
     def upload(self, memory: StateMemory) -> None:
-        """Upload the controls, and anchors, jaws and thickness of a state's memory, as far as they changed.
+        """Upload the controls, and a memory's friction anchors, jaws and contact thickness, if they changed.
 
         Arrays are never changed, but replaced. Therefore their identity tells if the engine has them.
 
@@ -143,7 +143,7 @@ class ContactBinding(Uncopyable):
             self._upload_anchors_and_jaws(memory)
 
     def _upload_thickness(self, thickness: Array | None, recovery: ThicknessRecovery) -> None:
-        """Upload the contact thickness [m] at the start of its recovery; None for the full one."""
+        """Upload a reduced contact thickness [m] and the rates of its recovery; None stands for the full thickness."""
         addresses: list[int | None] = [None, None]
         if thickness is not None:
             target = recovery.target
@@ -165,12 +165,12 @@ class ContactBinding(Uncopyable):
             self._jaws = jaws
 
     def anchors_of(self, memory: StateMemory) -> Array:
-        """Return the friction anchors of a state, shape `anchors_shape`."""
+        """Return the friction anchors of a state's memory, zeros if it has none that fit, shape `anchors_shape`."""
         anchors = memory.get(ANCHORS_KEY)
         return anchors if anchors is not None and anchors.shape == self.anchors_shape else np.zeros(self.anchors_shape)
 
     def jaws_of(self, memory: StateMemory) -> Array:
-        """Return the jaw states of a state, shape `jaws_shape`."""
+        """Return the jaw states of a state's memory, open jaws if it has none that fit, shape `jaws_shape`."""
         jaws = memory.get(JAWS_KEY)
         if jaws is not None and jaws.shape == self.jaws_shape:
             return jaws
@@ -182,11 +182,11 @@ class ContactBinding(Uncopyable):
 
     @property
     def thickness_shape(self) -> tuple[int, int]:
-        """Shape of contact thickness: obstacles, then the cloth itself; particles, then an obstacle's edges."""
+        """Shape (obstacles + 1, particles + 1) of contact arrays: last row self-contact, last column obstacle edges."""
         return (self.count + 1, self._shape[1] + 1)
 
     def supports_single_precision(self, duration: float, x: Array, v: Array, memory: StateMemory) -> bool:
-        """Return true if runs over a duration [s] from a state may calculate in single precision.
+        """Return true if contact allows runs in single precision over a duration [s] from a state.
 
         Single precision resolves neither the stretch of an anchor's spring nor a gap within the cloth.
         """
@@ -199,7 +199,7 @@ class ContactBinding(Uncopyable):
         return self._features is None or self._features.is_out_of_reach(start, duration, x, v)
 
     def end_buffers(self, runs: int) -> tuple[Array | None, Array | None]:
-        """Return buffers for the anchors and jaws at the ends of runs; None for those that do not exist."""
+        """Allocate arrays for friction anchors and jaws at the ends of runs; None if contact has no such memory."""
         anchors = np.empty((runs, *self.anchors_shape)) if self.force.has_anchors else None
         return anchors, np.empty((runs, *self.jaws_shape)) if self.force.jaws else None
 
@@ -219,7 +219,7 @@ class ContactBinding(Uncopyable):
     def combine_ends(
         self, t: float, x: Array, v: Array, runs: Sequence[Run], weights: Sequence[float], memory: StateMemory
     ) -> dict[str, Array]:
-        """Return anchors and jaws of a weighted combination of runs, by their key in the memory of a state.
+        """Return friction anchors and jaw states at the end of combined runs, by key of the state's memory.
 
         Args:
             t: time at the end [s].
@@ -237,14 +237,14 @@ class ContactBinding(Uncopyable):
         return ends
 
     def friction_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
-        """Return the power that friction between layers dissipates at time t [W]."""
+        """Return the power [W] that friction between layers of the cloth dissipates at time t [s]."""
         if not self.force.has_self_friction:
             return 0.0
         self.upload(memory)
         return self_contact_binding.friction_power(self._handle, t, x, v)
 
     def recovery_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
-        """Return the power of contacts that regain their thickness at time t [W]."""
+        """Return the power [W] on the cloth, at time t [s], of contacts that regain their thickness."""
         if THICKNESS_KEY not in memory:
             return 0.0
         self.upload(memory)
@@ -256,7 +256,7 @@ class ContactBinding(Uncopyable):
     def combine_anchors(
         self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float], memory: StateMemory
     ) -> Array:
-        """Return the anchors of a weighted combination of runs, from the anchors at the end of each run.
+        """Combine the friction anchors at the ends of runs by weights, and return them to the cone of friction.
 
         Args:
             t: time of the combined state [s].
@@ -275,7 +275,7 @@ class ContactBinding(Uncopyable):
         return out
 
     def update_after_step(self, t: float, h: float, state: State) -> None:
-        """Update jaws and anchors of a state after an implicit step during which the jaws stood still.
+        """Update jaws and friction anchors of a state after an implicit step that held them constant.
 
         Args:
             t: time at the end of the step [s].
@@ -302,7 +302,7 @@ class ContactBinding(Uncopyable):
     def predict_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict the bounds and the cost of contact within a duration.
+        """Predict bounds of contact's squared frequency and damping rate, and its operations, within a duration [s].
 
         The bounds hold after contact has taken up the energy of all present contacts, and of those that begin by then.
 
@@ -337,7 +337,7 @@ class ContactBinding(Uncopyable):
     def predict_surface_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float]:
-        """Predict the bounds of contact of the cloth's triangles and edges, with the cloth and with obstacles.
+        """Predict bounds of squared frequency and damping rate of contact of the cloth's triangles and edges alone.
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
@@ -345,9 +345,7 @@ class ContactBinding(Uncopyable):
         return self._predict_surface_contact(t, duration, x, v, memory)[:2]
 
     def operation_count(self, t: float, duration: float, state: State) -> float:
-        """Return the operations that contact adds to a force evaluation within a duration [s] from a state at time t
-        [s].
-        """
+        """Return the number of operations that contact adds to each force evaluation within a duration [s]."""
         _, n_particles, n_friction = self._predict_obstacle_contact(t, duration, state.x, state.v, state.memory)
         n_pairs = self._predict_surface_contact(t, duration, state.x, state.v, state.memory)[2]
         return PARTICLE_OPERATIONS * n_particles + FRICTION_OPERATIONS * n_friction + PAIR_OPERATIONS * n_pairs
@@ -355,7 +353,7 @@ class ContactBinding(Uncopyable):
     def _predict_surface_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict as `predict_surface_contact`; return the number of candidate pairs, too."""
+        """Predict squared frequency, damping rate and number of pairs of contact of triangles and edges."""
         self.upload(memory)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
         trust_factor = CONSTANTS.estimate_trust_factor if duration > 0.0 else 1.0
@@ -363,7 +361,7 @@ class ContactBinding(Uncopyable):
         return self._out[0], self._out[1], self._out[2]
 
     def is_clear_of_itself(self, duration: float, x: Array, v: Array) -> bool:
-        """Return true if the cloth stays clear of itself for a duration [s], so that runs may skip self-contact."""
+        """Return true if layers of the cloth can't meet within a duration [s], so that runs may skip self-contact."""
         if self.force.surface is None:
             return True
         out = np.empty(1, dtype=np.int64)
@@ -372,19 +370,20 @@ class ContactBinding(Uncopyable):
         return bool(out[0])
 
     def reuse_pairs(self, enabled: bool) -> None:
-        """Set whether candidate pairs of the cloth are reused between evaluations; no bit depends on it."""
+        """Enable or disable reuse of self-contact's candidate pairs between evaluations; no bit depends on it."""
         check(self._library.cloth_self_cache_pairs(self._handle, enabled))
 
     def predict_energy(self, t: float, duration: float, x: Array, v: Array, memory: StateMemory) -> float:
-        """Predict the energy per mass that contact may take up within a duration [s], in U^2/2; infinite inside an
-        obstacle.
+        """Predict the largest energy per mass that contact with obstacles may absorb within a duration [s].
+
+        Its unit is U^2/2 of the contact law; it is infinite inside an obstacle.
         """
         return self._predict_obstacle_contact(t, duration, x, v, memory)[0]
 
     def _predict_obstacle_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict the energy; return the numbers of candidate particles for all and for rough obstacles, too."""
+        """Predict contact energy per mass at obstacles, and numbers of particles in reach of all and of rough ones."""
         if not self.count:
             return 0.0, 0.0, 0.0
         self.upload(memory)
@@ -393,22 +392,20 @@ class ContactBinding(Uncopyable):
         return self._out[0], self._out[1], self._out[2]
 
     def bounds_at_energy(self, energy: float) -> tuple[float, float]:
-        """Return squared frequency [1/s^2] and damping rate [1/s] of contact that has taken up an energy per mass, in
-        U^2/2.
-        """
+        """Return squared frequency [1/s^2] and damping rate [1/s] of obstacle contact at an energy per mass (U^2/2)."""
         if not self.count or (energy == 0.0 and not self.force.jaws):
             return 0.0, 0.0
         check(self._library.cloth_contact_limits(self._handle, energy, self._out_address))
         return self._out[0], self._out[1]
 
     def contact_energy(self, gap: float) -> float:
-        """Return the energy per mass of contact at a gap [m], in U^2/2; infinite without a gap."""
+        """Return the energy per mass (unit U^2/2 of the contact law) of a contact at a gap [m]; infinite at 0."""
         s = min(max(gap / self.force.thickness, 0.0), 1.0)
         squared = (1.0 - s) * (1.0 - s)
         return squared * squared / s if s else math.inf
 
     def wrench_rates(self, t: float, x: Array, v: Array, memory: StateMemory, weight: float = 1.0) -> Array:
-        """Return force, torque and power of each obstacle on the cloth, and the power that its contact dissipates.
+        """Return the wrench of the cloth on each obstacle, the obstacle's power on the cloth, and the dissipation.
 
         Args:
             t: time [s].
@@ -438,7 +435,7 @@ class ContactBinding(Uncopyable):
         return out
 
     def contact_gaps(self, t: float, x: Array, memory: StateMemory) -> Array:
-        """Return the gap of each contact at time t [m], shape `thickness_shape`; infinite without contact.
+        """Return the gap [m] of each contact, shape (obstacles + 1, particles + 1); infinite without contact.
 
         Gaps of edges are doubled, because edges have half the thickness.
         """
@@ -456,7 +453,7 @@ class ContactBinding(Uncopyable):
         return int(out[0]), float(out[1])
 
     def add_bounds(self, t: float, x: Array, stiff: Array, damped: Array, memory: StateMemory) -> None:
-        """Add blocks (6, n) of stiffness [N/m] and damping [N s/m] across the gaps."""
+        """Add particle blocks (6, n) that bound the stiffness [N/m] and damping [N s/m] of contact."""
         self.upload(memory)
         shape = (6, self._shape[1])
         position_address = doubles("x", x, self._shape)
@@ -466,7 +463,7 @@ class ContactBinding(Uncopyable):
             check(self._library.cloth_self_bounds(self._handle, t, position_address, *addresses))
 
     def ccd_hits(self, t: float, duration: float, start: Array, end: Array, memory: StateMemory) -> bool:
-        """Return true if a straight motion hits an obstacle or the cloth itself.
+        """Return true if straight paths of the particles lead through an obstacle or the cloth itself.
 
         Args:
             t: time at the start [s].
@@ -482,7 +479,7 @@ class ContactBinding(Uncopyable):
         return bool(out[0]) or self.ccd_surface_hits(t, duration, start, end, memory)
 
     def check_initial_penetration(self, t: float, x: Array, memory: StateMemory) -> None:
-        """Refuse a cloth that an obstacle penetrates between its particles, or that penetrates itself.
+        """Raise an error if an obstacle comes through the cloth between particles, or the cloth through itself.
 
         See `initial_penetration`.
         """
@@ -495,7 +492,7 @@ class ContactBinding(Uncopyable):
             check_initial_penetration(self._engine_plan, self.force.surface, self.force.thickness, x)
 
     def ccd_surface_hits(self, t: float, duration: float, start: Array, end: Array, memory: StateMemory) -> bool:
-        """Return true if the surface hits itself or an obstacle's features in a straight motion.
+        """Return true if straight paths lead the cloth's surface through itself or through obstacle features.
 
         Args:
             t: time at the start [s].

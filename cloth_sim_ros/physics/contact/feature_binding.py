@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 
 class FeatureBinding(Uncopyable):
-    """Engine binding of the obstacle features of one plan.
+    """Engine binding of obstacle features (corners, edges): uploads them and finds hits with the cloth's surface.
 
     Args:
         engine_plan: handle of the engine's plan.
@@ -37,7 +37,7 @@ class FeatureBinding(Uncopyable):
         check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.search_length))
 
     def upload(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
-        """Upload the features of obstacles, except those that particles alone keep out."""
+        """Upload points and edges of obstacles, except of round ones that contact of particles alone keeps out."""
         for k, obstacle in enumerate(obstacles):
             feature_set = obstacle_features(obstacle, thickness)
             if feature_set.radius > 0.0 and is_covered_by_particles(feature_set.radius, self._max_edge, thickness):
@@ -48,21 +48,21 @@ class FeatureBinding(Uncopyable):
             check(self._library.cloth_plan_features(self._handle, k, *arrays, feature_set.radius))
 
     def is_out_of_reach(self, t: float, duration: float, x: Array, v: Array) -> bool:
-        """Return true if no feature gets near the cloth within a duration [s] from time t [s] on."""
+        """Return true if no obstacle feature can reach the cloth within a duration [s] from time t [s] on."""
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
         check(self._library.cloth_features_culled(self._handle, t, duration, *addresses))
         return bool(out[0])
 
     def ccd_hits(self, t: float, duration: float, start: Array, end: Array) -> bool:
-        """Return true if a feature passes through the cloth in a straight motion from time t over a duration [s]."""
+        """Return true if straight paths from t to t + duration [s] lead the cloth through an obstacle feature."""
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
         check(self._library.cloth_ccd_features(self._handle, t, duration, *addresses))
         return bool(out[0])
 
     def ccd_jaw_hits(self, t: float, x: Array, half_openings: Array) -> NDArray[np.bool_]:
-        """Return for each pinch whether a jaw passes through the cloth while it moves to its present half opening.
+        """Return for each pinching gripper if a jaw passes through the cloth as it moves to its present half opening.
 
         Args:
             t: time [s].
@@ -75,16 +75,14 @@ class FeatureBinding(Uncopyable):
         return out != 0
 
     def find_penetration(self, t: float, x: Array) -> tuple[int, int, int]:
-        """Return the first obstacle that penetrates the cloth at time t [s], and two particles near the position; -1
-        for none.
-        """
+        """Return the first obstacle that penetrates the cloth at time t [s], or -1, and two particles near it."""
         out = np.empty(3, dtype=np.int64)
         check(self._library.cloth_feature_intersection(self._handle, t, doubles("x", x, self._shape), address(out)))
         obstacle, a, b = out.tolist()
         return obstacle, a, b
 
     def check_initial_penetration(self, t: float, x: Array, names: Sequence[str]) -> None:
-        """Refuse a cloth that an obstacle penetrates at time t [s].
+        """Raise an error if a corner or edge of an obstacle comes through the cloth at time t [s].
 
         Raises:
             ValueError: for such a cloth, naming the obstacle, the particles and the position.

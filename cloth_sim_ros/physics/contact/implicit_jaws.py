@@ -24,7 +24,7 @@ def step_jaws(
     accelerations: Callable[[Array], Array],
     find_hits: Callable[[Array, Array], NDArray[np.bool_]] | None,
 ) -> Array:
-    """Return the states of jaws after an implicit Euler step, given the cloth at its end.
+    """Return half openings and speeds of jaws after an implicit Euler step, given the cloth at its end.
 
     The load of cloth and stops grows with the half opening's displacement. Therefore one jaw speed is consistent with
     the speed before and the load. Bisection between the stops finds it.
@@ -57,7 +57,7 @@ def step_jaws(
 
 
 def _stops(force: Contact) -> tuple[Array, Array]:
-    """Return the half openings [m] of the closed and of the open grippers, each of shape (pinches,)."""
+    """Return the least and the largest half opening [m] that each gripper's drive moves to, (pinches,) each."""
     setpoints, closed = force.controls.jaw_setpoints, force.jaw_commands[:, 1].tolist()
     targets = [-1.0] * len(force.jaws) if setpoints is None else setpoints[:, 0].tolist()
     jaws = zip(force.jaws, closed, targets, strict=True)

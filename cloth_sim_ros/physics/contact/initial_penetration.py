@@ -26,7 +26,7 @@ _REMEDY = "start from another state, or set contact.self to false"
 
 
 def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]) -> None:
-    """Refuse a cloth that is inside an obstacle at time t [s].
+    """Raise an error if the cloth is inside an obstacle at time t [s]: if its gap to one is not positive.
 
     Args:
         t: time [s].
@@ -45,7 +45,7 @@ def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]
 
 
 def find_self_intersection(engine_plan: PlanHandle, x: Array) -> list[int] | None:
-    """Return the first edge of the cloth that intersects one of its triangles; None if there is none.
+    """Return the particles of the first edge and triangle of the cloth that intersect; None if there is none.
 
     An edge that shares a corner with the triangle does not count.
 
@@ -63,7 +63,7 @@ def find_self_intersection(engine_plan: PlanHandle, x: Array) -> list[int] | Non
 
 
 def check_initial_penetration(engine_plan: PlanHandle, surface: ContactSurface, thickness: float, x: Array) -> None:
-    """Refuse a cloth that intersects itself, or is closer to itself than the least gap.
+    """Raise an error if the cloth intersects itself, or is closer to itself than the least gap of a start.
 
     Args:
         engine_plan: handle of the engine's plan, which has the surface.

@@ -26,7 +26,7 @@ _FLATNESS_SINE = 1e-6
 
 @attrs.frozen(eq=False)
 class ObstacleFeatures:
-    """Points and edges of one obstacle in its own frame, and a radius around them."""
+    """Points and edges of one obstacle in its own frame, rounded by a radius, for contact with the cloth's surface."""
 
     #: Positions [m], shape (points, 3).
     points: Array
@@ -37,7 +37,7 @@ class ObstacleFeatures:
 
 
 def obstacle_features(obstacle: Obstacle, thickness: float) -> ObstacleFeatures:
-    """Return the features of an obstacle that could pass through a cloth; a plane has none.
+    """Return the points and edges of an obstacle that could pass between a cloth's particles; a plane has none.
 
     A sphere is its centre with the sphere's radius, a capsule its axis, a box its corners and edges. A cylinder is an
     inscribed prism, at most a twentieth of the thickness inside it. A mesh has its convex edges and their ends. The
@@ -67,9 +67,10 @@ def obstacle_features(obstacle: Obstacle, thickness: float) -> ObstacleFeatures:
 
 
 def is_covered_by_particles(radius: float, max_edge: float, thickness: float) -> bool:
-    """Return whether particles alone, which have friction, keep a cloth off a sphere or capsule.
+    """Return true if contact of particles alone keeps triangles of the cloth off a sphere or capsule.
 
-    The condition is that no triangle penetrates deeper than a tenth of the radius.
+    Particles have friction, features none. The condition is that no triangle penetrates deeper than a tenth of the
+    radius.
 
     Let q = sum w x be a point of a triangle, and c any point. Then ``|c-q|^2 = sum w |c-x|^2 - sum w w |x-y|^2``. Take
     corners at a distance R from c and edges of at most l. The triangle is no nearer than sqrt(R^2 - l^2 / 3).

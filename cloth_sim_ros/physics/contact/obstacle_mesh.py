@@ -18,7 +18,7 @@ _MAX_PRODUCTS = 1 << 18
 
 
 def check_closed(vertices: Array, triangles: NDArray[np.int64], max_coordinate: float) -> None:
-    """Refuse a mesh that is open, degenerate or inside out.
+    """Raise an error if a mesh is open, degenerate or inside out.
 
     Args:
         vertices: positions [m], shape (m, 3).
@@ -76,7 +76,7 @@ def _format_point(vertex: Array) -> str:
 
 
 def _describe_gap(vertices: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> str:
-    """Describe the narrowest gap of an open mesh; empty if its border lies far apart everywhere."""
+    """Describe the narrowest gap of an open mesh for an error text; empty if its border is far apart everywhere."""
     seam = open_seam(vertices, triangles, border)
     if seam is None:
         return ""
@@ -107,14 +107,14 @@ def _check_arrays(vertices: Array, triangles: NDArray[np.int64], max_coordinate:
 
 
 def _connected_pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Return the triangles of each connected piece."""
+    """Return the indices of the triangles of each connected piece of a mesh."""
     label = component_labels(np.concatenate([triangles[:, :2], triangles[:, 1:]]), count)
     piece = label[triangles[:, 0]]
     return [np.flatnonzero(piece == piece_label) for piece_label in np.unique(piece)]
 
 
 def mesh_distance(points: Array, vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return signed gaps and normals of points to a closed mesh.
+    """Return signed distances of points from a closed mesh, negative inside, and outward unit normals.
 
     Args:
         points: positions [m], shape (m, 3).
@@ -151,7 +151,7 @@ def _signed_distance(p: Array, corners: Array) -> tuple[Array, Array]:
 
 
 def nearest_points(p: Array, corners: Array) -> Array:
-    """Return the nearest points of triangles (t, 3, 3) to points (m, 3), shape (m, t, 3).
+    """Return the point of each triangle (t, 3, 3) that is nearest to each point (m, 3), shape (m, t, 3).
 
     This is the foot on the triangle's plane if it lies inside the triangle, else the nearest foot on a side.
     """

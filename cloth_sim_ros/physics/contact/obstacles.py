@@ -38,7 +38,7 @@ def _faces(values: Any) -> NDArray[np.int64] | None:
 
 @attrs.frozen(kw_only=True, eq=False)
 class Obstacle:
-    """A rigid shape, centred on its own frame.
+    """Rigid obstacle in its own frame: shape, sizes, friction coefficients, and vertices of a mesh.
 
     - plane: the half space z <= 0 is solid and z is its normal; no size.
     - box: edge lengths x, y, z [m] along the axes.
@@ -121,7 +121,7 @@ class Obstacle:
         return math.sqrt(float(_squares(self.vertices).max()))
 
     def distance(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Return signed distances of points and the direction of their steepest growth.
+        """Return signed distances of points (in the obstacle's frame), negative inside, and outward unit normals.
 
         Args:
             points: positions in the obstacle's frame [m], shape (m, 3).
@@ -147,7 +147,7 @@ def _squares(vectors: Array) -> Array:
 
 
 def _offset_from(points: Array, nearest: Array, fallback: Array) -> tuple[Array, Array]:
-    """Return distances of points (m, k) from others, and unit vectors away from those.
+    """Return distances of points (m, k) from their nearest points, and unit vectors away from these.
 
     Points that coincide get the vector `fallback`.
     """
@@ -175,7 +175,7 @@ def _capsule_distance(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 def _box_distance(q: Array, half: Array) -> tuple[Array, Array]:
-    """Return gaps and normals of a box with any number of axes: points (m, k), half lengths (k,)."""
+    """Return signed distances and normals of points (m, k) from a box of k axes with half lengths (k,)."""
     excess = np.abs(q) - half
     outside, outward = _offset_from(q, np.clip(q, -half, half), np.zeros(q.shape[1]))
     axis = np.argmax(excess, axis=1)

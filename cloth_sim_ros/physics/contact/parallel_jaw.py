@@ -60,14 +60,14 @@ class ParallelJaw:
         self.boxes()
 
     def boxes(self) -> tuple[Obstacle, Obstacle]:
-        """The jaws as obstacles: the left one, on the positive side, first. No obstacle of a scene has such a name."""
+        """Return both jaws as box obstacles, the one on the positive side first; their names are unique."""
         names = (f"{self.gripper}.left_pad", f"{self.gripper}.right_pad")
         first, second = (Obstacle(name=name, shape="box", size=self.size, friction=self.friction) for name in names)
         return first, second
 
     @property
     def initial_state(self) -> tuple[float, float]:
-        """Half opening of open jaws [m] and jaw speed [m/s] at rest."""
+        """Jaw state at the start: half opening of open jaws [m], and speed 0 [m/s]."""
         return 0.5 * self.opening, 0.0
 
     @property
@@ -78,7 +78,7 @@ class ParallelJaw:
         return math.sqrt(0.25 * (x * x + z * z) + extent * extent)
 
     def limited(self, force: float, speed: float) -> ParallelJaw:
-        """Return the jaws with a force [N] and a speed [m/s] of at most these; 0 for no such limit."""
+        """Return the jaws with force [N] and speed [m/s] limited to these values; 0 stands for no limit."""
         new_force, new_speed = min(force or self.force, self.force), min(speed or self.speed, self.speed)
         if (new_force, new_speed) == (self.force, self.speed):
             return self
@@ -87,7 +87,7 @@ class ParallelJaw:
         return attrs.evolve(self, force=new_force, speed=new_speed, inertia=inertia)
 
     def stops(self, closed: bool, half_opening: float, thickness: float) -> tuple[float, float]:
-        """Return the half openings [m] of the closed and of the open gripper that the drive moves to.
+        """Return the least and the largest half opening [m] to which the drive moves the jaws.
 
         The stop towards which the drive moves begins to act at the commanded half opening. Jaws that close entirely
         stop at each other, so that cloth between them acts first.
@@ -105,7 +105,7 @@ class ParallelJaw:
     def engine_row(
         self, present: bool, closed: bool, setpoint: Sequence[float] = NO_SETPOINT, thickness: float = 0.0
     ) -> tuple[float, ...]:
-        """Return the engine's row of a drive, see `binding.DRIVE_NUMBERS`.
+        """Return jaws and drive as a row for the engine: flags, inertia, force, speed, half openings, thickness.
 
         Args:
             present: true if the gripper has a pose.
@@ -120,7 +120,7 @@ class ParallelJaw:
 
 
 def drive_inertia(cloth_mass: float, force: float, speed: float) -> float:
-    """Return the inertia [kg] of a drive.
+    """Return the inertia [kg] of jaws with their drive, from the cloth's mass and the drive's force and speed.
 
     It is the mass that twice the force accelerates to the speed within `DRIVE_LAG`, plus the mass of the cloth.
     Therefore jaws are never light against the cloth.

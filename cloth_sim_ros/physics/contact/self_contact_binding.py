@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 
 
 def upload_surface(handle: int, contact: Contact) -> None:
-    """Upload the surface of self-contact, if there is one, and the friction between its layers."""
+    """Upload the surface of self-contact, its joints and the friction between its layers, if there are any."""
     surface = contact.surface
     if surface is None:
         return
@@ -26,7 +26,7 @@ def upload_surface(handle: int, contact: Contact) -> None:
 
 
 def check_anchors(contact: Contact, anchors: Array) -> None:
-    """Refuse anchors between layers in triangles that the cloth does not have.
+    """Raise an error if a friction anchor between layers is in a triangle that the cloth does not have.
 
     Args:
         contact: the force.
@@ -49,7 +49,7 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
 
 
 def friction_power(handle: int, t: float, x: Array, v: Array) -> float:
-    """Return the power that friction between layers dissipates at time t [W], with the present anchors."""
+    """Return the power [W] that friction between layers dissipates at time t [s], with the uploaded anchors."""
     out = np.empty(1)
     addresses = doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)
     check(library().cloth_self_friction_power(handle, t, *addresses))

@@ -37,7 +37,7 @@ _MAX_ROUNDS = 12
 
 
 def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
-    """Return true if a mesh of vertices (m, 3) [m] and triangles (t, 3) is closed without repair."""
+    """Return true if a mesh is closed, and neither degenerate nor inside out, without repair."""
     try:
         check_closed(vertices, triangles, _MAX_COORDINATE)
     except ValueError:
@@ -46,7 +46,7 @@ def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
 
 
 def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Remove vertices (m, 3) [m] that no triangle (t, 3) uses."""
+    """Remove vertices (m, 3) [m] that no triangle (t, 3) uses; return vertices and renumbered triangles."""
     used = np.unique(triangles)
     new_index = np.zeros(len(vertices), dtype=np.int64)
     new_index[used] = np.arange(len(used))
@@ -56,7 +56,7 @@ def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array,
 def closed_solid(
     vertices: Array, triangles: NDArray[np.int64], limit: float
 ) -> tuple[Array, NDArray[np.int64], tuple[str, ...]]:
-    """Close a mesh by the steps of this module; other openings stay.
+    """Close rounding gaps of a mesh by merging, joining and splitting; return vertices, triangles and notes.
 
     Args:
         vertices: positions [m], shape (m, 3).
@@ -108,7 +108,7 @@ def _join_flat_triangles(
 
 
 def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
-    """Return the lengths of the sides from each corner to the next [m], (t, 3)."""
+    """Return the lengths of triangles' sides, from each corner to the next [m], (t, 3)."""
     corners = vertices[triangles]
     edges = np.roll(corners, -1, axis=1) - corners
     lengths: Array = np.sqrt(dot_products(edges, edges))
@@ -144,7 +144,7 @@ def _remove_duplicates(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _collapse_needles(vertices: Array, triangles: NDArray[np.int64], height: float) -> tuple[NDArray[np.int64], int]:
-    """Merge the ends of the short side of flat triangles that have one; return their number, too."""
+    """Merge the ends of the short side of needle-shaped triangles; return triangles and number of needles."""
     sides = _sides(vertices, triangles)
     is_needle = _is_flat(vertices, triangles, height) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
     count = int(np.count_nonzero(is_needle))
@@ -160,9 +160,7 @@ def _collapse_needles(vertices: Array, triangles: NDArray[np.int64], height: flo
 
 
 def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
-    """Split open edges at border vertices that lie on them, one side of each triangle; return the number of split
-    edges.
-    """
+    """Split open edges at border vertices on them, one side a triangle; return triangles and number of edges."""
     if not len(triangles):
         return triangles, 0
     count = len(vertices)

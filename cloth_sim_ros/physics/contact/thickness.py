@@ -22,14 +22,14 @@ START_GAP = 0.98
 #: Contact acceleration [m/s^2] above which the thickness does not grow: the cloth has to follow first. The lowest of
 #: twenty layers bears as much.
 MAX_PUSH = 200.0
-#: Speed U of the contact law [m/s], see engine/contact_law.hpp.
+#: Speed U of the contact law [m/s], see engine/laws/contact.hpp.
 _SPEED = 35.0
 #: Least gap over thickness of a start or after a change of parameters.
 MIN_GAP = 0.02
 
 
 def reduced_thickness(gaps: Array, thickness: float) -> Array | None:
-    """Return the thickness [m] of contacts after an event; None if all keep the full thickness.
+    """Return the thickness [m] of each contact after an event compressed some; None if all keep the full thickness.
 
     A contact with a gap below the rest gap gets the thickness for which its gap is the start gap.
 
@@ -42,7 +42,7 @@ def reduced_thickness(gaps: Array, thickness: float) -> Array | None:
 
 
 def grown_thickness(reduced: Array, gaps: Array, thickness: float, duration: float) -> Array | None:
-    """Return the thickness [m] of contacts a duration later; None if none grows.
+    """Return the thickness [m] of each contact, grown for a duration [s] if the cloth follows; None if none grows.
 
     Args:
         reduced: present thickness of each contact [m].
@@ -60,24 +60,24 @@ def grown_thickness(reduced: Array, gaps: Array, thickness: float, duration: flo
 
 
 def recovery_time(reduced: Array, thickness: float) -> float:
-    """Return the time until all contacts have the full thickness [s], if the cloth can follow."""
+    """Return the time [s] until reduced contacts have the full thickness, if the cloth can follow."""
     return float(((thickness - reduced) / _recovery_speeds(reduced)).max())
 
 
 def _recovery_speeds(reduced: Array) -> Array:
-    """Return the recovery speed of each row of contacts [m/s], shape (rows, 1)."""
+    """Return the speed [m/s] at which the thickness of each row of contacts grows, shape (rows, 1)."""
     speeds = np.full((len(reduced), 1), RECOVERY_SPEED)
     speeds[-1] = LAYER_RECOVERY_SPEED
     return speeds
 
 
 def relative_growth(reduced: Array, after: Array) -> float:
-    """Return the largest growth of a thickness relative to its value before (dimensionless)."""
+    """Return the largest growth of a contact's thickness relative to its value before, after / reduced - 1."""
     return float((after / reduced).max()) - 1.0
 
 
 def check_gaps(gaps: Array, thickness: float, names: Sequence[str]) -> None:
-    """Refuse contacts with a gap that is too small for any thickness.
+    """Raise an error if a contact's gap is below the least gap, a fraction of the full thickness.
 
     Args:
         gaps: gap of each contact [m], see `ContactBinding.contact_gaps`.

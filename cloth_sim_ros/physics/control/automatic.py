@@ -35,7 +35,7 @@ INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler
 def make_integrator(
     name: str, *, step: float | None = None, tolerance: float | None = None, work: float = 0.0
 ) -> Integrator:
-    """Return an integrator by its name.
+    """Create the integrator of a name, with a fixed step [s] or a tolerance [m], and a work limit.
 
     Args:
         name: one of `INTEGRATORS`.
@@ -65,7 +65,7 @@ def make_integrator(
 
 
 class Automatic(Integrator):
-    """Explicit steps while they achieve real time, otherwise the implicit method if it is cheaper.
+    """Integrator `auto`: explicit steps while they achieve real time, else the implicit method if it is cheaper.
 
     The explicit method is the extrapolated leapfrog, which is the plain leapfrog for a loose tolerance or none. Costs
     are estimates from step limit, particle count and width of the implicit matrix; no clock is read.
@@ -141,7 +141,7 @@ class Automatic(Integrator):
     def _choose_integrator(
         self, memory: IntegratorChoiceState, plan: Plan, state: State, t: float, duration: float
     ) -> None:
-        """Compare the costs of both methods periodically.
+        """Choose explicit or implicit steps by a periodic comparison of their costs, and record the choice.
 
         They are compared at once if the implicit method becomes expensive, or if the cloth comes close to itself.
         """
@@ -167,7 +167,7 @@ class Automatic(Integrator):
 
 
 def _is_clear_of_itself(plan: Plan, state: State, duration: float) -> bool:
-    """Return True if the cloth stays clear of itself for a duration [s]."""
+    """Return True if layers of the cloth can't meet within a duration [s]."""
     return plan.contact is None or plan.contact.is_clear_of_itself(duration, state.x, state.v)
 
 
@@ -186,7 +186,7 @@ def _explicit_frame_cost(plan: Plan, state: State, t: float, duration: float) ->
 
 
 def _iteration_cost(plan: Plan) -> float:
-    """Return the estimated cost of one iteration of the implicit method [ns]; most scenes never need it."""
+    """Return the estimated cost of one iteration of the implicit method [ns]; imported late, as few scenes need it."""
     from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost
 
     return iteration_cost(plan.model)

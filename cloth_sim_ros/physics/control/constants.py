@@ -19,7 +19,7 @@ def _constant(value: float, meaning: str) -> float:
 
 @attrs.define(slots=False)
 class Constants:
-    """The table of tuned constants; only validation changes it."""
+    """Table of the tuned constants of step control, each with its meaning; only validation changes it."""
 
     # Stability.
     stability_safety: float = _constant(

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class ContactStepLimit:
-    """Step limit of one advance with contact; without contact it is the limit of the sheet.
+    """Rule for the stability limit of the step in one advance with contact, predicted and encountered.
 
     Args:
         options: settings of the integrator.
@@ -35,11 +35,11 @@ class ContactStepLimit:
 
     @property
     def sheet_limit(self) -> float:
-        """Step limit of the sheet without contact, from its last spectral bounds [s]."""
+        """Stability limit of the step [s] without contact, from the model's last spectral bounds."""
         return self._options.step_limit(self._stability.omega2, self._stability.damping)
 
     def predicted_limit(self, t: float, duration: float, state: State) -> float:
-        """Return the step limit with predicted contact [s], over a duration [s] from a state at time t [s].
+        """Return the stability limit of the step [s] with the contact predicted from t to t + duration [s].
 
         Raises:
             NoRoomError: if no step is short enough.
@@ -57,7 +57,7 @@ class ContactStepLimit:
         return self._options.step_limit(stability.omega2 + omega2, stability.damping + damping)
 
     def limit_at_energy(self, energy: float, rates: tuple[float, float], sheet: StabilityState | RunSummary) -> float:
-        """Return the step limit with contact [s].
+        """Return the stability limit of the step [s] for a contact energy and rates of self-contact.
 
         Args:
             energy: energy per mass that contact with obstacles had to absorb, in U^2/2.
@@ -72,19 +72,19 @@ class ContactStepLimit:
 
     @staticmethod
     def _encountered(tableau: ExtrapolationTableau, n_runs: int) -> tuple[float, tuple[float, float]]:
-        """Return energy per mass at obstacles and rates of self-contact that T_K encountered, K = n_runs."""
+        """Return the energy per mass at obstacles and the rates of self-contact that n_runs runs encountered."""
         energy, _, rates = tableau.contact_summary(n_runs)
         return max(energy, tableau.summary(n_runs).contact_energy), rates
 
     def has_contact(self, tableau: ExtrapolationTableau, n_runs: int) -> bool:
-        """Return True if T_K encountered contact, K = n_runs."""
+        """Return True if the first n_runs runs of a tableau met an obstacle or the cloth itself."""
         if self._plan.contact is None:
             return False
         energy, self_contact = self._encountered(tableau, n_runs)
         return bool(energy or self_contact[0])
 
     def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int, summary: RunSummary) -> float:
-        """Return the step limit of T_K [s], K = n_runs: contact in its runs, and the sheet at its end."""
+        """Return the stability limit of the step [s] by contact that n_runs runs met, and the sheet at their end."""
         if self._plan.contact is None:
             return self._options.step_limit(summary.omega2, summary.damping)
         energy, self_contact = self._encountered(tableau, n_runs)
@@ -92,9 +92,10 @@ class ContactStepLimit:
         return self.limit_at_energy(energy, rates, summary)
 
     def should_halve(self, max_step: float, duration: float) -> bool:
-        """Return True if an interval should be halved before the first attempt, because an impact is short.
+        """Return True if an interval should be halved at once, because contact requires much shorter steps.
 
-        That is the case if contact makes steps much shorter than the sheet does, and the interval has many of them.
+        That is the case if contact makes steps much shorter than the sheet does, and the interval has many of them: an
+        impact is short.
 
         Args:
             max_step: longest stable step with contact [s].
@@ -107,10 +108,10 @@ class ContactStepLimit:
         return is_shorter and duration > CONSTANTS.contact_min_interval_steps * max_step
 
     def exceeds_known_energy(self, contact_energy: float) -> bool:
-        """Return True if the contact energy clearly exceeds that of the last estimate, so its error is unknown."""
+        """Return True if a contact energy is far above that of the last error estimate, so the error is unknown."""
         return contact_energy > CONSTANTS.estimate_trust_factor * self._known_energy
 
     def store(self, state: State, contact_energy: float | None) -> None:
-        """Store the largest contact energy per mass of a frame, in U^2/2; None for a frame without an estimate."""
+        """Store a frame's largest contact energy per mass (unit U^2/2) in a state; None keeps that before."""
         if self._plan.contact is not None:
             ContactState(self._known_energy if contact_energy is None else contact_energy).store(state)

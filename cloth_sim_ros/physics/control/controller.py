@@ -68,7 +68,7 @@ _ATTRIBUTES = (
 
 
 class Controller:
-    """Choices of one advance.
+    """Chooses pieces, number of runs and steps of one explicit advance, by the rules and the work budget.
 
     Args:
         options: settings of the integrator.
@@ -155,7 +155,7 @@ class Controller:
 
     @cached_property
     def _has_external_work(self) -> bool:
-        """True if forces in Python, moving air or moving obstacles may do work."""
+        """True if Python forces, moving air or moving obstacles may do work on the cloth in this advance."""
         plan, state = self._plan, self._state
         if plan.contact is not None and not plan.contact.force.steady():
             return True
@@ -169,18 +169,18 @@ class Controller:
 
     @property
     def has_explicit_fallback(self) -> bool:
-        """True if explicit steps within the reserve are the fallback."""
+        """True if explicit steps in the reserved work are the fallback: with contact, tolerance, and not used yet."""
         return self._may_touch and self._has_tolerance and not self.in_fallback
 
     def use_reserve(self) -> None:
-        """Restart with single runs of the longest stable steps, within the reserve."""
+        """Restart the frame as a fallback: single runs of the longest stable steps, with the reserved work."""
         self.in_fallback, self.exhausted, self.abandoned, self._may_turn = True, True, False, False
         self.n_runs, self.refinement = 1, 1.0
         self.work.grant_reserve()
         self.restart()
 
     def restart(self) -> None:
-        """Restart at the start of the frame, whose pieces all get an estimate."""
+        """Restart at the start of the frame; all pieces then get an error estimate."""
         memory = self._stability.memory
         memory.omega2, memory.damping = self._start_bounds
         if self._plan.has_hinges:
@@ -189,7 +189,7 @@ class Controller:
         self._begin()
 
     def _begin(self) -> None:
-        """Set what the pieces of a frame change to its start."""
+        """Reset everything that pieces change to its value at the start of the frame."""
         #: Totals of the accepted pieces.
         self._frame = FrameTotals()
         max_step = CONSTANTS.stability_safety * self._stability.memory.max_step
@@ -209,7 +209,7 @@ class Controller:
         self._energy_rule = None
 
     def must_restart(self, *, is_missed: bool) -> bool:
-        """Return True if the frame restarts with estimates, because pieces that were accepted may be wrong too.
+        """Return True if the frame must restart with error estimates, because accepted pieces may be wrong too.
 
         They were accepted by predictions and a later one misses its budget, or a spring may turn over in this piece.
 
@@ -222,7 +222,7 @@ class Controller:
     # Pieces.
 
     def choose_piece(self, t: float) -> Piece | None:
-        """Return the next piece from time t [s]; None if explicit steps are abandoned."""
+        """Return the next piece of the frame, from time t [s]; None if explicit steps are abandoned."""
         if self._piece is None and not self.abandoned:
             self._piece = self._divide(t)
             if self.estimates_error and not (self.work.evaluations or self.exhausted):
@@ -231,7 +231,7 @@ class Controller:
         return None if self.abandoned else self._piece
 
     def _divide(self, t: float) -> Piece:
-        """Divide the next stretch into pieces of equal steps."""
+        """Divide the next stretch into equal pieces; return the first, with steps that are stable and affordable."""
         options = self.options
         while True:
             stretch = self._stretch = self._ends[-1] - self._elapsed
@@ -260,7 +260,7 @@ class Controller:
         return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
 
     def _count_steps(self, n_runs: int, refinement: float, length: float, max_step: float) -> tuple[int, int]:
-        """Return the steps of the first run over a length [s], and the number of its pieces."""
+        """Return the number of steps of the first run over a length [s], and of the pieces to divide it into."""
         if self._has_tolerance:
             refinement = max(refinement, self._required_refinement(n_runs, length))
         fewest = MAX_UNDAMPED_STEPS if self._is_rough else self._count_fewest_steps(n_runs)
@@ -269,7 +269,10 @@ class Controller:
         return steps, 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
 
     def _count_fewest_steps(self, n_runs: int) -> int:
-        """Return the fewest steps of the first run: the activity of a single run needs two halves."""
+        """Return the least number of steps of the first run: 2 for a single run with a tolerance, else 1.
+
+        The activity of a single run needs two halves.
+        """
         return 2 if n_runs == 1 and self._has_tolerance else 1
 
     def _required_refinement(self, n_runs: int, length: float) -> float:
@@ -277,7 +280,7 @@ class Controller:
         return max(self._multirate_refinement, self._stability.min_refinement(n_runs, length))
 
     def _choose_ratio(self, max_step: float) -> int:
-        """Return the multirate ratio; another one than before needs an error estimate."""
+        """Return the multirate ratio of this advance; a changed ratio sets an error estimate due."""
         rule, recorded_ratio = self._multirate, self._multirate.memory.ratio
         if self.estimates_error:
             rule.choose(self._state.x, max_step, self._duration, self.n_runs)
@@ -298,18 +301,18 @@ class Controller:
         return True
 
     def _rest_work(self, piece: Piece) -> float:
-        """Return the work of the frame after a piece, in force evaluations."""
+        """Return the estimated work of the rest of the frame after a piece, in force evaluations."""
         return self.work.rest_of(self._duration - (self._elapsed + piece.length), len(self._ends))
 
     def _attempt_work(self, n_runs: int, refinement: float, length: float, max_step: float) -> float:
-        """Return the work of a length [s] with an error estimate, in force evaluations, engine calls included."""
+        """Return the estimated work of an attempt over a length [s] with an error estimate, in force evaluations."""
         steps, n_pieces = self._count_steps(n_runs, refinement, length, max_step)
         # Where air or obstacles do work, the energy check of a piece that misses its budget repeats its runs.
         check = self.work.weight * steps * RATIO_SUMS[n_runs] if self._has_external_work else 0.0
         return self.work.work_of(n_runs, steps, n_pieces) + check
 
     def _clamp(self, stretch: float, max_step: float, reserved: float) -> None:
-        """Clamp runs and refinement to the work budget.
+        """Reduce number of runs and refinement for a stretch [s] until they fit the work budget.
 
         Explicit steps are abandoned if the longest stable ones exceed it by more than the cost of implicit steps that
         finish the frame.
@@ -340,7 +343,7 @@ class Controller:
     def tableau(
         self, t: float, piece: Piece, previous: ExtrapolationTableau | None, accumulator: WorkAccumulator | None
     ) -> ExtrapolationTableau:
-        """Return the runs of a piece from time t [s]; those of its previous attempt if it had the same steps."""
+        """Return the tableau of runs of a piece from time t [s]; that of its previous attempt if steps are equal."""
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=self._is_rough)
         single_precision = is_estimated = False
         if self._has_tolerance:
@@ -374,7 +377,7 @@ class Controller:
         )
 
     def _needs_more_runs(self, counts: tuple[int, ...], ratio: int) -> bool:
-        """Return True if the runs of an estimate rarely suffice, so that one more is calculated with them."""
+        """Return True if an error estimate probably needs a further run, which is then calculated in the same call."""
         if sum(counts) <= self._plan.evaluations_per_call:
             return self.refinement > 1.0
         is_repeated = self._attempts > 0 or self._is_rough
@@ -383,7 +386,7 @@ class Controller:
     # Rule 1: stability.
 
     def is_stable(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
-        """Return True if the chosen combination is finite, and its steps are within the limit that the motion met."""
+        """Return True if the chosen combination is finite and its steps are below the stability limit that it met."""
         n_runs = self.n_runs
         evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
@@ -392,7 +395,7 @@ class Controller:
         return piece.ratio == 1 or not self._multirate.exceeds_limit(piece.ratio * piece.step, summary)
 
     def reject_unstable(self, tableau: ExtrapolationTableau, piece: Piece) -> None:
-        """Choose shorter steps after an attempt that was not stable, or abandon explicit steps.
+        """Reject a piece that `is_stable` refuses: choose shorter steps, or abandon explicit steps.
 
         Raises:
             UnstableError: if no choice is left.
@@ -415,7 +418,7 @@ class Controller:
     # Rule 2: error.
 
     def allowed_error(self, piece: Piece) -> float:
-        """Return the error budget of a piece [m]: what previous pieces have left until its end.
+        """Return the error budget of a piece [m]: the frame's budget until its end, less the error of earlier pieces.
 
         After a piece that missed its budget it is at least the piece's share of the frame's budget.
         """
@@ -427,7 +430,7 @@ class Controller:
         return self._allowed
 
     def predict(self, tableau: ExtrapolationTableau, piece: Piece) -> float:
-        """Return the predicted error of a piece [m]; infinite if it is unknown or an estimate is due."""
+        """Return a piece's error [m], predicted from the last estimate; infinite if unknown or an estimate is due."""
         if not self._has_tolerance:
             self._prediction = ErrorPrediction()
             return 0.0
@@ -451,7 +454,7 @@ class Controller:
         return math.inf if self.estimates_error else error
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
-        """Return the estimated error of a piece [m], and combine more of its runs if that suffices.
+        """Estimate the error of a piece [m] by further runs, and combine more of its runs if that suffices.
 
         If the error is above its target, further runs show whether more runs or finer steps are better.
 
@@ -499,7 +502,7 @@ class Controller:
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
     def _append_estimate(self, tableau: ExtrapolationTableau, chosen: int) -> None:
-        """Append the error estimate of the next combination [m]; about it, if another combination is chosen."""
+        """Append the next combination's error [m] to the estimate; approximately, if another one is chosen."""
         n_runs = len(self._estimate.errors) + 1
         # A wrong approximation costs a run.
         is_cheap = n_runs > chosen and tableau.counts[n_runs] > DISPLACEMENT_EVALUATIONS
@@ -508,14 +511,14 @@ class Controller:
         self._estimate.append(error, is_approximate=not is_accurate)
 
     def _measure_difference(self, tableau: ExtrapolationTableau, n_runs: int, *, is_accurate: bool = True) -> float:
-        """Return the error estimate of a combination [m], and count its work."""
+        """Return the error estimate of the combination of n_runs runs [m], and count its work."""
         evaluations = tableau.evaluations
         error = tableau.difference(n_runs) if is_accurate else tableau.approximate_difference(n_runs)
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
         return error
 
     def _count_estimates(self, counts: tuple[int, ...]) -> int:
-        """Return the number of estimates that the chosen runs need.
+        """Return the number of combinations whose error is estimated, so that the chosen one is reliable.
 
         The error of a single run of a few steps does not follow its order, so its estimate may be small by chance. A
         second one confirms it.
@@ -535,7 +538,7 @@ class Controller:
         return error
 
     def reject_inaccurate(self, piece: Piece, allowed: float) -> bool:
-        """Choose more runs, shorter steps or a shorter piece; return False if the piece must be accepted.
+        """Reject an inaccurate piece: choose more runs, finer steps or halves; False if it must be accepted.
 
         Args:
             piece: the piece.
@@ -588,7 +591,7 @@ class Controller:
         return True
 
     def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
-        """Return runs and refinement that meet a target [m] with the fewest evaluations, from the piece's estimates."""
+        """Return number of runs and refinement that meet a target [m] with the fewest evaluations, by its estimates."""
         # The pieces of a stretch share the rounding error of one run, because it cancels over them.
         fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
         choice = self._estimate.errors, refinement, target, self._stability, piece.length
@@ -600,7 +603,7 @@ class Controller:
         return is_repeated and refinement > CONSTANTS.estimate_trust_factor * self.refinement
 
     def _halve_if_long(self, piece: Piece) -> bool:
-        """Halve a piece if it has enough steps, and its halves fit the work budget; they start with the same step.
+        """Halve a piece, if it has enough steps and its halves fit the work budget; return whether it was halved.
 
         Kinks of friction of bending do not halve: many hinges yield in each frame, and steps are of order 2 there.
         Contact jumps, so that pieces of a model with contact are halved nevertheless.
@@ -623,7 +626,7 @@ class Controller:
     # Rule 3: energy.
 
     def keeps_energy(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> bool:
-        """Return False if a piece without a reliable error estimate creates energy; learn from any other piece."""
+        """Check the energy of a piece whose error is unknown or over budget; return False if it creates energy."""
         n_runs, energy, drift = self.n_runs, self._energy, None
         has_contact = self._contact_limit.has_contact(tableau, n_runs)
         omega2 = self._stability.memory.omega2, math.inf if has_contact else tableau.summary(n_runs).omega2
@@ -643,7 +646,7 @@ class Controller:
         return True
 
     def reject_energy(self, piece: Piece) -> None:
-        """Choose finer steps after an attempt that created energy, or abandon explicit steps.
+        """Reject a piece that created energy: choose finer steps, or abandon explicit steps.
 
         Raises:
             UnstableError: if no choice is left.
@@ -652,7 +655,7 @@ class Controller:
         self._retry(2.0, "making energy from nowhere", piece, may_abandon=True)
 
     def _retry(self, factor: float, failure: str, piece: Piece, *, may_abandon: bool = False) -> None:
-        """Choose finer steps for a further attempt, or abandon explicit steps.
+        """Prepare a further attempt of a rejected piece with finer steps, or abandon explicit steps.
 
         Args:
             factor: factor on the refinement.
@@ -699,7 +702,7 @@ class Controller:
     def accept(
         self, tableau: ExtrapolationTableau, piece: Piece, error: float, accumulator: WorkAccumulator | None
     ) -> float:
-        """Move the state to the end of a piece, and learn from it.
+        """Move the state to the end of a piece, and update bounds, totals and rules by it.
 
         Args:
             tableau: runs of the piece.
@@ -736,7 +739,7 @@ class Controller:
         return elapsed
 
     def _choose_next(self, piece: Piece, *, is_stretch_end: bool) -> None:
-        """Choose runs and steps after a rough piece; steps grow by a factor of two at most.
+        """Choose runs and refinement for what follows a piece of rough motion; steps grow by two at most.
 
         They are for the next stretch if it is longer, because the moment that needs short steps has then passed. The
         next frame starts with the longest steps so chosen; what is too coarse is rejected at little cost.
@@ -754,7 +757,7 @@ class Controller:
             self.n_runs, self.refinement = n_runs, min(refinement, self.refinement)
 
     def store(self) -> None:
-        """Write into the state what the next advance needs; choose its runs and steps if errors were estimated."""
+        """Store the rules' numbers for the next advance in the state, and choose its runs and steps."""
         state, error, frame = self._state, self._error, self._frame
         target = CONSTANTS.error_target_fraction * self.budget
         if frame.sums is not None and frame.sums.is_uniform and not self._is_rough:
@@ -783,7 +786,7 @@ class Controller:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
 
     def _record_estimate(self, sums: ErrorSums, target: float) -> None:
-        """Record the estimates of a frame of equal pieces; choose runs and steps of the next one for a target [m]."""
+        """Record the error estimates of a frame, and choose runs and refinement of the next for a target [m]."""
         refinement, choice = self._applied_refinement, (self._stability, self._duration)
         # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
         next_runs, next_refinement = self._error.choose(
@@ -794,13 +797,13 @@ class Controller:
         self._error.record_estimate(sums, self.n_runs, next_runs, next_refinement)
 
     def store_bounds(self) -> None:
-        """Store the spectral bounds alone; their key must stay, see `reset_step_control`."""
+        """Store only the spectral bounds in the state; their key must stay, see `reset_step_control`."""
         self._stability.memory.store(self._state)
 
     # Report.
 
     def report(self) -> Advance:
-        """Return the result of the advance."""
+        """Return the report of the advance: steps, evaluations, error, limiting factor, and reason in words."""
         options, frame, step = self.options, self._frame, self._frame.min_step
         has_long_limit = self._duration <= CONSTANTS.stability_safety * self.limit
         flagged = int(self._has_tolerance and frame.error > self.budget)

@@ -9,7 +9,7 @@ from typing import Protocol
 
 
 class ExplicitSettings(Protocol):
-    """Settings of an explicit integrator."""
+    """Protocol of the settings of an explicit integrator: tolerance, fixed step, number of runs, work limit."""
 
     name: str
     tolerance: float | None
@@ -37,7 +37,7 @@ def describe(
     single_precision: bool,
     n_pieces: int,
 ) -> tuple[str, str]:
-    """Return the limiting factor, one of `base.LIMITING_FACTORS`, and order, step and what set them in words.
+    """Return the limiting factor of the step, and a text on order and step of an advance and their cause.
 
     Args:
         name: of the integrator.
@@ -64,7 +64,7 @@ def describe(
 
 
 def _step_text(tolerance: float | None, fixed_step: float | None, limit: str, step: float, is_refined: bool) -> str:
-    """Return the step and what set it in words."""
+    """Return a text on the step [s] and its cause: fixed, tolerance, stability or frame."""
     text = f"{step:.3g} s"
     if limit == "step":
         return f"fixed step of {text}"

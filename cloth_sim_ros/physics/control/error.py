@@ -39,7 +39,7 @@ _ACTIVITY_EXPONENT = 3
 
 
 class ErrorPrediction(NamedTuple):
-    """Predicted error of a piece, and what predicted it."""
+    """Predicted errors of a piece [m], and the activity and contact energy that the prediction used."""
 
     #: Errors of the combination and of one run less [m]; infinite if they are unknown.
     error: float = 0.0
@@ -51,7 +51,7 @@ class ErrorPrediction(NamedTuple):
 
 @attrs.define
 class ErrorEstimate:
-    """Error estimate of a piece."""
+    """Error estimates of a piece [m]: of 1, 2, ... combined runs, and at the ends of the piece."""
 
     is_rough: bool
     #: Errors of T_1, T_2, ... [m], and error that force jumps at the ends of the piece may cause [m].
@@ -63,11 +63,11 @@ class ErrorEstimate:
     needs_double: bool = False
 
     def error(self, n_runs: int) -> float:
-        """Return the error of a combination, that at the ends of the piece included [m]."""
+        """Return the estimated error of the combination of n_runs runs, that at the piece's ends included [m]."""
         return self.errors[n_runs - 1] + self.end_error
 
     def append(self, error: float, *, is_approximate: bool = False) -> None:
-        """Append the error of the next combination [m].
+        """Append the estimated error [m] of the next combination, of one run more.
 
         If the motion is rough, an estimate may be small by chance. Then it counts as at least what the gain of the
         combination before it makes plausible.
@@ -81,12 +81,12 @@ class ErrorEstimate:
         errors.append(error)
 
     def replace(self, n_runs: int, error: float) -> None:
-        """Replace an approximate error by an accurate one [m]."""
+        """Replace the approximate error of the combination of n_runs runs by an accurate one [m]."""
         self.errors[n_runs - 1] = error
         self.approximate.remove(n_runs)
 
     def confirm(self, rounding_floor: Callable[[int], float], measure: Callable[[int], float]) -> None:
-        """Raise each error that is far below a later one above rounding [m]: it is small by chance.
+        """Raise errors that are small by chance, because combinations of more runs have far larger ones.
 
         A later one that is approximate is measured first. In a rough motion all errors must fit instead.
 
@@ -103,7 +103,7 @@ class ErrorEstimate:
                 errors[k - 1] = errors[k]
 
     def sufficient_runs(self, n_runs: int, allowed: float) -> int:
-        """Return the number of runs whose error fits a budget [m]: the chosen one, another one, the chosen one if none.
+        """Return the chosen number of runs if its error fits a budget [m], else the least that fits, else the chosen.
 
         If the motion is rough, the errors of all further runs must fit too.
         """
@@ -116,7 +116,7 @@ class ErrorEstimate:
 
 @attrs.define
 class ErrorSums:
-    """Sums of estimates over the pieces of a frame that have equal runs."""
+    """Sums of error estimates over the equal pieces of a frame."""
 
     #: Step counts of the runs, and length of each piece [s].
     counts: tuple[int, ...]
@@ -135,7 +135,7 @@ class ErrorSums:
     is_uniform: bool = True
 
     def add(self, piece: ErrorSums) -> None:
-        """Add the estimates of a further piece."""
+        """Add the error estimates of a further piece; pieces with other runs make the sums useless."""
         self.is_uniform &= (self.counts, self.length) == (piece.counts, piece.length)
         self.errors = [ordered_sum(pair) for pair in zip(self.errors, piece.errors, strict=False)]
         pairs = zip(self.changes, piece.changes, strict=False)
@@ -146,7 +146,7 @@ class ErrorSums:
 
 
 class ErrorRule:
-    """Predicted errors, and the runs and steps that meet an error budget.
+    """Rule that predicts errors between estimates, and chooses runs and refinement for an error budget.
 
     Args:
         memory: state of the rule.
@@ -165,7 +165,7 @@ class ErrorRule:
         return _COORDINATE_ROUNDINGS * _EPSILON * largest_component(self._x)
 
     def rounding_floor(self, n_runs: int, steps: int = 0) -> float:
-        """Return the distance of T_(K+1) from T_K that rounding alone causes [m], K = n_runs.
+        """Return the error estimate of n_runs combined runs that rounding alone causes [m].
 
         Args:
             n_runs: number of combined runs.
@@ -178,7 +178,7 @@ class ErrorRule:
         return amplification(n_runs + 1) * (self._position_rounding + displaced)
 
     def is_predictable(self, counts: tuple[int, ...], length: float) -> bool:
-        """Return True if the last estimate may predict the error of a piece; for arguments see `predict`."""
+        """Return True if the last estimate can predict the error of a piece with these step counts and length [s]."""
         memory = self.memory
         # A run of a few steps has an error that longer steps change in another way.
         has_order = counts[0] >= CONSTANTS.min_ordered_steps or length / counts[0] <= memory.step
@@ -192,7 +192,7 @@ class ErrorRule:
         activity: float,
         jerk_change: float = 0.0,
     ) -> tuple[float, float]:
-        """Return the predicted errors of a piece, and of the combination of one run less [m].
+        """Return the predicted errors of a piece [m] by its runs, and by one run less; infinite if the motion changed.
 
         Args:
             counts: step counts of the combined runs.
@@ -241,7 +241,7 @@ class ErrorRule:
         rounded_steps: int = 0,
         present_runs: int = 0,
     ) -> tuple[int, float]:
-        """Return the runs and the refinement that meet a target with the fewest force evaluations.
+        """Return the number of runs and the refinement that meet a target error with the fewest force evaluations.
 
         Args:
             errors: of T_1, T_2, ... at the present refinement [m]; that of T_K decreases as h^(K + 1).
@@ -268,7 +268,7 @@ class ErrorRule:
         return best[0], best[1]
 
     def record_estimate(self, sums: ErrorSums, n_runs: int, next_runs: int, next_refinement: float) -> None:
-        """Record the estimates of an accepted frame, and when the error is estimated again.
+        """Record the error estimates of an accepted frame, and set the time until the next estimate.
 
         Args:
             sums: errors of its pieces.
@@ -305,21 +305,21 @@ class ErrorRule:
             memory.time_until_estimate = 0.0
 
     def set_period(self, max_period: float, period: float) -> None:
-        """Set the time until the next estimate [s]: a period between one frame and a maximum."""
+        """Set estimate period and time until the next estimate [s] to a period, limited to one frame and a maximum."""
         memory = self.memory
         memory.estimate_period = memory.time_until_estimate = max(memory.duration, min(max_period, period))
 
     def restart(self, n_runs: int, refinement: float) -> None:
-        """Restart from an estimate in the next frame."""
+        """Forget the last estimate, so that the next frame estimates its error; keep runs and refinement."""
         self.memory = ErrorState(n_runs=float(n_runs), refinement=refinement, duration=self.memory.duration)
 
     def count_down(self) -> None:
-        """Count a frame without an estimate."""
+        """Reduce the time until the next estimate by a frame."""
         memory = self.memory
         time_left = memory.time_until_estimate - memory.duration
         memory.time_until_estimate = time_left if time_left > 1e-6 * memory.duration else 0.0
 
 
 def coefficient_of(counts: tuple[int, ...], length: float) -> float:
-    """Return the error coefficient of runs over a length [s], see `error_coefficient`."""
+    """Return the error coefficient of K combined runs of a length [s]: `error_coefficient` times length^(K + 1)."""
     return error_coefficient(counts) * power(length, len(counts) + 1)

@@ -25,7 +25,7 @@ from cloth_sim_ros.physics.state.state import State
 def advance(
     options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None
 ) -> Advance:
-    """Advance a state by a duration, see `Integrator.advance`.
+    """Advance a state by a duration [s] with explicit steps, and with a fallback if these are abandoned.
 
     Explicit steps may be abandoned, because they exceed the work limit or create energy. The frame then starts again.
     With contact and a tolerance, single runs within a reserve of work advance it. If that fails too, implicit steps do.
@@ -80,7 +80,7 @@ def advance(
 def integrate(
     controller: Controller, state: State, start: State, t: float, duration: float, accumulator: WorkAccumulator | None
 ) -> bool:
-    """Integrate a frame piece by piece; return False if explicit steps are abandoned within it.
+    """Move the state through a frame, piece by piece; return False if explicit steps are abandoned.
 
     Args:
         controller: chooses runs, steps and lengths.

@@ -12,7 +12,7 @@ from cloth_sim_ros.physics.old_names import with_old_arguments, with_old_names
 
 @with_old_names(columns="n_runs")
 class Extrapolated(ExplicitIntegrator):
-    """Extrapolation of leapfrog runs: combines runs with several step counts so that leading errors cancel.
+    """Integrator `extrapolated`: combines leapfrog runs with several step counts so that leading errors cancel.
 
     One run is the leapfrog itself, of order 2; K combined runs have order K + 1. Runs have the cost and the stable step
     of the leapfrog. With a tolerance, number of runs and steps follow the error. The difference of the combinations of

@@ -22,7 +22,7 @@ FALLBACK_EVALUATIONS = 10.0 * CONSTANTS.implicit_finish_steps
 
 
 def is_implicit_feasible(plan: Plan) -> bool:
-    """Return True if the sheet is small enough for the implicit method.
+    """Return True if the sheet has few enough particles for the implicit method.
 
     A frame of a larger sheet would take half a minute and gigabytes of memory.
     """
@@ -40,7 +40,7 @@ def finish_implicitly(
     max_evaluations: float,
     max_time: float = math.inf,
 ) -> Advance:
-    """Advance by a few implicit steps; the result is flagged.
+    """Advance a state by a few implicit steps after explicit ones were abandoned; the result is flagged.
 
     Each iteration factorises a matrix, which takes long for a large sheet. If not even the least number of iterations
     fits the time, descents use the blocks of single particles instead, which bound that matrix.

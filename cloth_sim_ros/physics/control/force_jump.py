@@ -22,7 +22,7 @@ EVALUATIONS = 1 + len(_DIFFERENCE_WEIGHTS)
 
 
 def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float) -> Array:
-    """Return the velocity changes that a force jump in a half step may cause [m/s], shape (3, n).
+    """Return the velocity changes [m/s] that a force jump within a half step may cause, about 0 if smooth, (3, n).
 
     It is the fourth difference of the accelerations times the half step; for smooth motion it is nearly zero.
 

@@ -12,7 +12,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import Extrapolatio
 
 
 class Piece(NamedTuple):
-    """A piece of an advance."""
+    """Part of a frame that is accepted or rejected at once: its length, steps and multirate ratio."""
 
     #: Length H [s].
     length: float
@@ -31,7 +31,7 @@ class Piece(NamedTuple):
 
 
 class FrameTotals:
-    """Totals of the accepted pieces of a frame."""
+    """Totals over the accepted pieces of a frame: steps, errors, contact energy and error estimates."""
 
     #: Numbers of pieces and of steps of the result, smallest step and time with refined steps [s].
     n_pieces, steps, min_step, refined_time = 0, 0, math.inf, 0.0
@@ -49,7 +49,7 @@ class FrameTotals:
     def add(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, prediction: ErrorPrediction, error: float
     ) -> None:
-        """Add an accepted piece, whose combination of some runs has an error [m]."""
+        """Add an accepted piece, with its number of runs, its prediction and its error [m]."""
         self.n_pieces += 1
         self.steps += sum(tableau.counts[:n_runs])
         self.min_step, self.max_ratio = min(self.min_step, piece.step), max(self.max_ratio, piece.ratio)
@@ -61,7 +61,7 @@ class FrameTotals:
     def add_estimate(
         self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: list[float], error: float
     ) -> None:
-        """Add the errors of T_1, T_2, ... [m] of an accepted piece, and that of its combination [m]."""
+        """Add an accepted piece's error estimates [m]: of 1, 2, ... combined runs, and of the chosen number."""
         changes = [tableau.change(k) for k in range(1, len(errors) + 1)]
         known = prediction.error, prediction.activity, tableau.jerk_change
         sums = ErrorSums(tableau.counts, tableau.duration, errors, changes, error, *known)

@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class ExplicitIntegrator(Integrator):
-    """Runs of the leapfrog, alone or combined."""
+    """Base class of integrators by leapfrog runs, alone or combined."""
 
     n_runs: int
     step: float | None
@@ -32,7 +32,7 @@ class ExplicitIntegrator(Integrator):
 
 @with_old_names(columns="n_runs")
 class Leapfrog(ExplicitIntegrator):
-    """Leapfrog (position Verlet): drift, kick, drift. Velocity Verlet is the same method from a kick on.
+    """Leapfrog integrator (position Verlet): drift, kick, drift. Velocity Verlet begins with the kick.
 
     Velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
 

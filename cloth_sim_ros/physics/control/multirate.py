@@ -31,7 +31,7 @@ _STABILITY_FRACTION = 0.6
 
 
 class MultirateRule:
-    """Multirate ratio of one advance.
+    """Rule that chooses the multirate ratio of one advance: steps per evaluation of hinge forces.
 
     Args:
         plan: equations of motion.
@@ -47,7 +47,7 @@ class MultirateRule:
 
     @property
     def bounds(self) -> Sequence[float]:
-        """Bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges, and of squared transverse frequency."""
+        """Bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges, and of that across springs [1/s^2]."""
         return self.memory.omega2, self.memory.damping, self.memory.transverse_omega2
 
     @bounds.setter
@@ -55,7 +55,7 @@ class MultirateRule:
         self.memory.omega2, self.memory.damping, self.memory.transverse_omega2 = bounds
 
     def keep(self, max_step: float, duration: float) -> None:
-        """Keep the ratio while it pays.
+        """Keep the ratio of the last advance, unless a ratio of 1 is cheaper.
 
         Args:
             max_step: longest stable step [s].
@@ -65,7 +65,7 @@ class MultirateRule:
             self.ratio = 1
 
     def choose(self, x: Array, max_step: float, duration: float, n_runs: int) -> None:
-        """Choose the ratio of least cost for an advance with an error estimate.
+        """Choose the multirate ratio of least cost; 1 if runs are combined, and for some estimates after that.
 
         A refinement for accuracy keeps the ratio, so that the error decreases with its order. The error of impulses is
         m^2 times that of steps. It would cost further runs if more than one is combined, so the ratio is then 1, and
@@ -87,18 +87,18 @@ class MultirateRule:
             self.ratio = min(range(1, MAX_RATIO + 1, 2), key=lambda ratio: self._cost(ratio, max_step, duration))
 
     def _cost(self, ratio: int, max_step: float, duration: float) -> float:
-        """Return the estimated cost of an advance by the longest steps; infinite if there would be too few impulses."""
+        """Return the estimated cost of an advance at a ratio [ns a particle]; infinite with too few hinge impulses."""
         steps = self._steps(ratio, max_step, duration)
         if ratio > 1 and steps < MIN_IMPULSES * ratio * steps_for(duration, CONSTANTS.max_interval):
             return math.inf
         return self._plan.multirate_step_cost(ratio) * ratio * math.ceil(steps / ratio)
 
     def _steps(self, ratio: int, max_step: float, duration: float) -> int:
-        """Return the number of the longest steps that cover a duration [s]."""
+        """Return the number of the longest steps, stable at a multirate ratio, that cover a duration [s]."""
         return steps_for(duration, max_step / max(1.0, self.min_refinement(ratio, max_step)))
 
     def ratio_within(self, max_step: float, duration: float) -> tuple[int, float]:
-        """Return the ratio within an interval, and the refinement that it requires.
+        """Return the ratio for an interval, reduced until it has enough impulses, and the refinement it requires.
 
         Args:
             max_step: longest stable step [s].
@@ -110,11 +110,11 @@ class MultirateRule:
         return ratio, self.min_refinement(ratio, max_step)
 
     def min_refinement(self, ratio: int, max_step: float) -> float:
-        """Return the refinement of the longest stable step [s] that a ratio requires."""
+        """Return the refinement, relative to the longest stable step [s], that a multirate ratio requires."""
         return 1.0 if ratio == 1 else ratio * max_step / self._max_impulse_interval(self.bounds, _STABILITY_FRACTION)
 
     def exceeds_limit(self, impulse_interval: float, summary: RunSummary) -> bool:
-        """Return True if the bounds at the end of a run make its impulses unstable.
+        """Return True if hinge impulses are unstable at their interval, by the bounds at the end of a run.
 
         Args:
             impulse_interval: interval between two impulses [s].
@@ -123,7 +123,7 @@ class MultirateRule:
         return impulse_interval > self._max_impulse_interval(summary.hinge_bounds, 1.0)
 
     def _max_impulse_interval(self, bounds: Sequence[float], fraction: float) -> float:
-        """Return the longest interval between two impulses [s] for bounds as `bounds` has, at a stability fraction."""
+        """Return the longest stable interval [s] between hinge impulses, by spectral bounds and a safety fraction."""
         omega2, damping, transverse_omega2 = bounds
         if omega2 <= 0.0:
             return math.inf

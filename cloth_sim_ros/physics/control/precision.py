@@ -36,7 +36,7 @@ _MAX_MISSES = 1
 
 
 class PrecisionRule:
-    """Choice of precision for one advance.
+    """Rule that chooses single or double precision for one advance.
 
     Args:
         plan: equations of motion.
@@ -55,13 +55,13 @@ class PrecisionRule:
         self._estimate_uncertainty = CONSTANTS.estimate_trust_factor * CONSTANTS.low_error_fraction * budget
 
     def store(self, state: State) -> None:
-        """Store the measured effect, and the energy input once it is known."""
+        """Store the measured effects of rounding on positions and energy in a state."""
         self.memory.store(state)
         if self.noise.power >= 0.0 or RoundingNoiseState.key in state.memory:
             self.noise.store(state)
 
     def measure(self, t: float, state: State, step: float, n_runs: int) -> int:
-        """Measure the effect of single precision by a short pair of runs, if it is unknown and may fit.
+        """Measure the effect of single precision by two short runs, unless it is known; return the evaluations spent.
 
         Args:
             t: time at the start [s].
@@ -126,14 +126,14 @@ class PrecisionRule:
         return 2 * (steps + 1)
 
     def update_kinetic_energy(self, state: State) -> None:
-        """Update the kinetic energy for the comparison, in a frame with an error estimate."""
+        """Update the recorded kinetic energy [J], with which the power of rounding is compared."""
         noise = self.noise
         if noise.power >= 0.0:
             kinetic_energy = 0.5 * weighted_dot(self._plan.model.masses, state.v, state.v)
             noise.kinetic_energy = max(kinetic_energy, 0.5 * noise.kinetic_energy)
 
     def allows_single_precision(self, state: State, n_runs: int, *, estimates_error: bool) -> bool:
-        """Return True if runs may use single precision.
+        """Return True if runs of this advance may use single precision, by its measured effect and the error budget.
 
         The motion must be large against the amplified rounding error, so that a sheet can come to rest accurately.
 
@@ -159,22 +159,22 @@ class PrecisionRule:
         return is_large and self._is_known_at(speed)
 
     def require_double(self) -> None:
-        """Allow no single precision until the end of the frame."""
+        """Require double precision until the end of the frame."""
         self.n_misses = _MAX_MISSES + 1
 
     def resolves_error(self, n_runs: int) -> bool:
-        """Return True if a combination of single-precision runs still resolves the error.
+        """Return True if rounding in a combination of single-precision runs is small enough for an error estimate.
 
         The combination is only an estimate. Rounding must be small against the budget, not against the error.
         """
         return amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
 
     def _is_known_at(self, speed: float) -> bool:
-        """Return True if the rounding of velocities was measured at a speed [m/s]."""
+        """Return True if the effect of rounding was measured at about this largest speed [m/s], or above it."""
         return speed <= CONSTANTS.estimate_trust_factor * self.memory.speed
 
     def _mean(self, dv: Array, axis: int) -> float:
-        """Return the mean of a component of velocity changes [m/s], weighted with masses."""
+        """Return the mass-weighted mean over particles of a component of velocity changes [m/s]."""
         unit = np.zeros_like(dv)
         unit[axis] = 1.0
         return weighted_dot(self._plan.model.masses, dv, unit) / self._plan.model.mass

@@ -29,7 +29,7 @@ UNDAMPED_LIMIT_FRACTIONS = (1.0, 0.125, 0.75, 0.25)
 
 
 class StabilityRule:
-    """Refinement and pieces that combinations of runs require.
+    """Rule for the refinement and the number of pieces that stable combinations of runs require.
 
     Args:
         plan: equations of motion.
@@ -48,16 +48,16 @@ class StabilityRule:
         return any(force.damped and force.damps_waves for force in self._plan.model.forces)
 
     def is_damped(self, length: float) -> bool:
-        """Return True if damping removes the fastest waves within a length [s]."""
+        """Return True if damping removes the fastest waves within a time [s]."""
         memory = self.memory
         return memory.omega2 == 0.0 or (memory.damping * length >= CONSTANTS.damped_wave_decay and self._damps_waves)
 
     def min_refinement(self, n_runs: int, length: float) -> float:
-        """Return the minimum refinement of a combination over a length [s], relative to the stable step of one run."""
+        """Return the least refinement at which a combination of runs is stable over a length [s]; 1 for one run."""
         return 1.0 if n_runs == 1 or self.is_damped(length) else 1.0 / UNDAMPED_LIMIT_FRACTIONS[n_runs - 1]
 
     def n_pieces(self, n_runs: int, steps: int, length: float) -> int:
-        """Return the number of pieces of a length [s].
+        """Return the number of pieces to divide a length [s] into: each short, and of few steps without damping.
 
         Args:
             n_runs: number of combined runs.

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.plan.plan import Plan
 
 
 class WorkBudget:
-    """Force evaluations of one advance, and their limit.
+    """Work budget of one advance: used force evaluations, their limit, and the reserve of the fallback.
 
     Each consecutive fallback halves the limit of explicit attempts once more. With contact, single runs of explicit
     steps finish a frame, and the reserve is twice their work with an estimate. Implicit steps would be slower, because
@@ -73,7 +73,7 @@ class WorkBudget:
             self.cap = max(self.cap, min_cap)
 
     def set_weight(self, ratio: int, contact_time: float) -> None:
-        """Set the cost of a force evaluation.
+        """Set the cost of a force evaluation of the next piece, relative to that of the limit.
 
         Args:
             ratio: multirate ratio.
@@ -88,11 +88,14 @@ class WorkBudget:
             self.weight += more_time / (particle_time + self._contact_time)
 
     def work_of(self, n_runs: int, steps: int, n_pieces: int) -> float:
-        """Return the work of runs with an error estimate, in force evaluations, engine calls included."""
+        """Return the estimated work of runs with an error estimate, in force evaluations, engine calls included."""
         return self.weight * (steps * RATIO_SUMS[n_runs + 1] + n_pieces * (n_runs + 1)) + n_pieces * self.call_work
 
     def rest_of(self, time: float, n_stretches: int) -> float:
-        """Return the work of the rest of the frame [s] with the choice at its start, in force evaluations."""
+        """Return the estimated work of the remaining time [s] of a frame, in force evaluations.
+
+        It assumes the runs and steps of the frame's start.
+        """
         if time <= 0.0:
             return 0.0
         # Each stretch has at least a run of a few steps, its estimate, and the check of its ends.
@@ -100,13 +103,13 @@ class WorkBudget:
         return time * self.rest_rate + n_stretches * min_work
 
     def fits(self, work: float) -> bool:
-        """Return True if further work, in force evaluations, fits the limit."""
+        """Return True if further work, in force evaluations, does not exceed the limit."""
         return self.used + work <= self.cap
 
     def add(self, evaluations: int, weight: float = 1.0) -> None:
-        """Add force evaluations; the weight is their cost relative to that of the limit."""
+        """Count used force evaluations; the weight is their cost relative to that of the limit."""
         self.evaluations, self.used = self.evaluations + evaluations, self.used + weight * evaluations
 
     def grant_reserve(self) -> None:
-        """Grant the reserve."""
+        """Raise the limit, so that explicit steps may use the reserve of the fallback."""
         self.cap = self.used + self.reserve

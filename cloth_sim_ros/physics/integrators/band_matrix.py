@@ -29,7 +29,7 @@ _PARALLEL_FACTOR_OPERATIONS, _PARALLEL_SOLVE_SIZE = 8_000_000, 2_000_000
 
 @cache
 def _second_thread() -> ThreadPoolExecutor:
-    """Return the executor of the process's second thread."""
+    """Return the executor of the process's second thread, created at its first use."""
     return ThreadPoolExecutor(1, thread_name_prefix="band")
 
 
@@ -37,6 +37,7 @@ class _InlineExecutor(Executor):
     """Executor that runs a task in the calling thread, for tasks shorter than waking a thread."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Run a task at once; return its finished future."""
         future: Future[Any] = Future()
         future.set_result(fn(*args, **kwargs))
         return future
@@ -46,12 +47,12 @@ _INLINE_EXECUTOR = _InlineExecutor()
 
 
 def _lower_executor(is_worth_a_thread: bool) -> Executor:
-    """Return the executor of the lower part: the second thread if it pays and is available, else the caller's."""
+    """Return the executor for a matrix's lower half: the second thread if it pays and is free, else the caller's."""
     return _second_thread() if is_worth_a_thread and available_threads() > 1 else _INLINE_EXECUTOR
 
 
 class BandMatrix:
-    """Band matrix of 3x3 blocks for particle pairs and single particles.
+    """Symmetric positive definite band matrix of 3x3 blocks between particles: assembled, factorised, solved.
 
     Args:
         block_rows: block row of each particle, -1 for fixed ones, shape (n,).
@@ -73,7 +74,7 @@ class BandMatrix:
         self._is_prepared = False
 
     def _prepare(self) -> None:
-        """Allocate the arrays of the factorisation; its cost is known before, from the size alone."""
+        """Allocate the arrays of the factorisation at the first update; before, the size alone gives the cost."""
         last, block_rows = self.count - 1, self._block_rows
         is_upper = block_rows < self._upper + self._shared
         is_lower = block_rows >= self._upper
@@ -87,7 +88,7 @@ class BandMatrix:
         self._is_prepared = True
 
     def _split(self, pairs: _Index) -> tuple[_Index, _Index]:
-        """Return the indices of the pairs of the upper and of the lower part."""
+        """Return the indices of the pairs in the upper and in the lower part; pairs outside the band are left out."""
         ends = self._block_rows[pairs]
         is_in_band = (np.abs(ends[:, 0] - ends[:, 1]) <= self.width) | (ends < 0).any(axis=1)
         is_in_band &= (ends >= 0).any(axis=1)
@@ -95,7 +96,7 @@ class BandMatrix:
         return np.flatnonzero(is_in_band & ~is_lower), np.flatnonzero(is_in_band & is_lower)
 
     def update(self, blocks: list[Array], masses: Array, diagonal: Array) -> None:
-        """Assemble and factorise.
+        """Assemble the matrix from pair blocks, masses and diagonal blocks, and factorise it.
 
         Args:
             blocks: pair blocks (m, 6) of each group.
@@ -127,7 +128,7 @@ class BandMatrix:
         return band.factor(rows, (self._upper, self._lower)[part])
 
     def solve(self, right: Array) -> None:
-        """Replace ``right`` (3, n) by the solution; zero for fixed particles."""
+        """Replace the right-hand side (3, n) by the solution; zero for fixed particles."""
         is_free = self._block_rows >= 0
         y = np.zeros((self.count, 3))
         y[self._block_rows[is_free]] = right[:, is_free].T

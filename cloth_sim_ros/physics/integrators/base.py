@@ -15,14 +15,14 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class UnstableError(RuntimeError):
-    """The motion became non-finite, or no step was small enough for it."""
+    """Error: the motion became non-finite, or no step was small enough for it."""
 
     #: Force evaluations of the failed attempt, if known.
     evaluations = 0
 
 
 class ToleranceMissedError(UnstableError):
-    """The tolerance can't be held, and the caller rejects a result that misses it."""
+    """Error: the tolerance can't be held, and the caller rejects a result that misses it."""
 
 
 #: Factors that may limit the step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (one step covers
@@ -34,7 +34,7 @@ TOLERANCE = 1e-3
 
 @with_old_names(binds="limited_by")
 class Advance(NamedTuple):
-    """Result of one advance: steps, force evaluations, error estimate and limiting factor."""
+    """Report of one advance: steps, force evaluations, error estimate and limiting factor."""
 
     #: Total steps of the runs that make up the result.
     steps: int
@@ -59,7 +59,10 @@ class Advance(NamedTuple):
 
 
 class Integrator(ABC):
-    """Advances a state by a given duration, in as many steps as necessary; the last step ends exactly at its end."""
+    """Base class of integration methods: advances a state by a duration, in as many steps as necessary.
+
+    The last step ends exactly at the end of the duration.
+    """
 
     name: str
     #: Order of the error in the step, damping and nonlinearity included.
@@ -93,7 +96,7 @@ class Integrator(ABC):
 
 
 def check_step(step: float | None) -> float | None:
-    """Return a fixed step [s] unchanged, None for none.
+    """Check a fixed step [s], or None for none, and return it unchanged.
 
     Raises:
         ValueError: if it is not finite and above 0.
@@ -106,7 +109,7 @@ def check_step(step: float | None) -> float | None:
 def check_settings(
     step: float | None, tolerance: float | None, work: float
 ) -> tuple[float | None, float | None, float]:
-    """Return fixed step [s], tolerance [m] and work limit (multiple of real time) unchanged.
+    """Check fixed step [s], tolerance [m] and work limit (multiple of real time), and return them unchanged.
 
     Raises:
         ValueError: if one is out of range, or step and tolerance are both set.
@@ -124,15 +127,15 @@ def check_settings(
 
 
 class StepLimitError(UnstableError, ValueError):
-    """A fixed step is above the stability limit: at the start, or because the motion stiffened."""
+    """Error: a fixed step is above the stability limit, at the start, or because the motion stiffened."""
 
 
 class NoRoomError(UnstableError, ValueError):
-    """The cloth intersects itself or an obstacle, at the start or because moving bodies squeezed it."""
+    """Error: the cloth intersects itself or an obstacle, at the start or because moving bodies squeezed it."""
 
 
 def refuse_unbounded(omega2: float, damping: float) -> None:
-    """Refuse a motion without a stable step.
+    """Raise an error if the spectral bounds are so large that no step is stable.
 
     Args:
         omega2: bound of the squared frequency [1/s^2].
@@ -149,7 +152,7 @@ def refuse_unbounded(omega2: float, damping: float) -> None:
 
 
 def refuse_step(step: float, limit: float, name: str) -> None:
-    """Refuse a fixed step above the limit.
+    """Raise an error if a fixed step [s] is above the stability limit [s].
 
     Raises:
         StepLimitError: naming step, limit and remedy.

@@ -37,7 +37,7 @@ RATIO_SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 @lru_cache(maxsize=256)
 def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprime: bool = False) -> tuple[int, ...]:
-    """Return the step counts of the runs, strictly increasing multiples of the multirate ratio.
+    """Return the numbers of steps of the tableau's runs, strictly increasing multiples of the multirate ratio.
 
     Args:
         first: step count of the first run.
@@ -57,14 +57,14 @@ def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprim
 
 @lru_cache(maxsize=16)
 def amplification(n_runs: int) -> float:
-    """Return the amplification of rounding by a combination of some runs: the sum of |w|."""
+    """Return the factor by which the combination of n_runs runs amplifies rounding: the sum of its weights' |w|."""
     # Twenty is the smallest first count whose step counts have exactly the ratios.
     return ordered_sum(abs(weight) for weight in weights(step_counts(20, n_runs)))
 
 
 @lru_cache(maxsize=1024)
 def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the weights of T_K for K runs of step counts n: exact ratios of integers, rounded once.
+    """Return the weights by which K runs with step counts n are combined to order K + 1: exact ratios, rounded once.
 
     Divided differences of 1, n, ..., n^(K - 2) vanish, and that of n^K is the sum of the n. Therefore the weights are
     ``w_i = n_i^K / (sum of n * product of n_i - n_j over j != i)``.
@@ -75,7 +75,7 @@ def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
 
 @lru_cache(maxsize=1024)
 def error_coefficient(counts: tuple[int, ...]) -> float:
-    """Return the coefficient of the leading error of T_K for K runs of step counts n: |sum of w n^-(K + 1)|.
+    """Return the leading error's coefficient of K combined runs with step counts n: |sum of w n^-(K + 1)|.
 
     For an interval of length H the error is this coefficient times H^(K + 1), times what depends on the motion alone.
     """
@@ -84,14 +84,14 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
 
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
-    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of some pairs."""
+    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] among several pairs."""
     if rates.count(rates[0]) == len(rates):
         return rates[0]
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
 class ExtrapolationTableau:
-    """Leapfrog runs over one interval and their combinations T_K; runs are computed on demand.
+    """Leapfrog runs over one interval and the combinations T_K of the first K of them; computed on demand.
 
     Args:
         plan: equations of motion.
@@ -141,7 +141,7 @@ class ExtrapolationTableau:
         self._contact_summaries: dict[int, tuple[float, float, tuple[float, float]]] = {}
 
     def combine(self, n_runs: int) -> tuple[Array, Array]:
-        """Return positions [m] and velocities [m/s] of T_K, K = n_runs, each of shape (3, n)."""
+        """Return positions [m] and velocities [m/s] at the end of n_runs combined runs, (3, n) each."""
         if n_runs not in self._combined:
             self._make_runs(n_runs)
         if n_runs not in self._combined:
@@ -150,7 +150,7 @@ class ExtrapolationTableau:
         return self._combined[n_runs]
 
     def summary(self, n_runs: int) -> RunSummary:
-        """Return the summary of T_K, K = n_runs: activity, spectral bounds and contact at its end."""
+        """Return the summary of n_runs combined runs: activity, spectral bounds and contact at their end."""
         if n_runs not in self._summaries:
             self._make_runs(n_runs)
         if n_runs not in self._summaries:
@@ -158,7 +158,7 @@ class ExtrapolationTableau:
         return self._summaries[n_runs]
 
     def _summarize(self, n_runs: int) -> RunSummary:
-        """Return the summary of T_K, K = n_runs, as the engine makes it for runs of one call."""
+        """Calculate the summary of n_runs combined runs that the engine did not combine in one call."""
         x, v = self.combine(n_runs)
         # The motion of prescribed particles is given.
         free = self._plan.free_particles()
@@ -185,19 +185,19 @@ class ExtrapolationTableau:
 
     @property
     def jerk_change(self) -> float:
-        """Change of jerk in the first run [m/s], see `Run.jerk_change`."""
+        """Largest change of a particle's jerk from start to middle of the first run, times T²/4 [m/s]."""
         self._make_runs(1)
         return self._runs[0].jerk_change
 
     def change(self, n_runs: int) -> tuple[float, float]:
-        """Return the largest distances of positions [m] and of velocities [m/s] of T_(K+1) from those of T_K."""
+        """Return the largest change of a position [m] and a velocity [m/s] if one run more than n_runs is combined."""
         if n_runs not in self._changes:
             (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
             self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
         return self._changes[n_runs]
 
     def difference(self, n_runs: int) -> float:
-        """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
+        """Return the error estimate of n_runs combined runs [m]: the distance from the combination of one run more.
 
         It is the largest distance of a particle's positions, plus the displacement that the difference of velocities
         causes later. Slow waves keep that difference, fast ones lose it within a period. A jaw's half opening counts
@@ -217,7 +217,7 @@ class ExtrapolationTableau:
         return self._distances[n_runs]
 
     def approximate_difference(self, n_runs: int) -> float:
-        """Return the same approximately, without force evaluations [m].
+        """Return the error estimate of n_runs combined runs [m] approximately, without force evaluations.
 
         Velocities displace in proportion to their difference, as in the last call of `difference`. It shows which runs
         are worth a try; the error of those that are taken is a `difference`.
@@ -226,7 +226,7 @@ class ExtrapolationTableau:
         return max(distance + self._velocity_weight * velocity_change, self._jaw_difference(n_runs))
 
     def jaws(self, n_runs: int) -> Array | None:
-        """Return the jaw states at the end of T_K, K = n_runs; None without parallel grippers."""
+        """Return the jaw states at the end of n_runs combined runs; None without parallel grippers."""
         contact = self._plan.contact
         if contact is None or not contact.force.jaws:
             return None
@@ -234,7 +234,7 @@ class ExtrapolationTableau:
         return contact.combine_jaws(self._runs[:n_runs], weights(self.counts[:n_runs]))
 
     def _jaw_difference(self, n_runs: int) -> float:
-        """Return the difference of half openings [m], or of their rates times `jaw_time`."""
+        """Return the largest change of a jaw [m] if one run more is combined: half opening, or speed times a time."""
         next_jaws, jaws = self.jaws(n_runs + 1), self.jaws(n_runs)
         if next_jaws is None or jaws is None:
             return 0.0
@@ -242,7 +242,7 @@ class ExtrapolationTableau:
         return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._jaw_time)
 
     def contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
-        """Return the contact in the runs of T_K, K = n_runs; zeros without contact.
+        """Return the largest contact energies and self-contact rates in the first n_runs runs; zeros without contact.
 
         Returns:
             Energy per mass, in U^2/2, that contact had to absorb, or would have had to in a completed approach; the
@@ -258,7 +258,7 @@ class ExtrapolationTableau:
         return self._contact_summaries[n_runs]
 
     def commit(self, n_runs: int, state: State) -> None:
-        """Write the end of T_K, K = n_runs, into a state: positions, velocities, and the memory that runs change."""
+        """Write the end of n_runs combined runs into a state: positions, velocities, and memory that runs change."""
         state.x, state.v = self.combine(n_runs)
         if not self._plan.has_end_memory:
             return
@@ -267,7 +267,7 @@ class ExtrapolationTableau:
         state.memory |= self._plan.combine_ends(end, state.x, state.v, runs, run_weights, self._start.memory)
 
     def work(self, n_runs: int) -> float:
-        """Return the external work [J] over T_K, K = n_runs.
+        """Return the external work on the cloth [J] over the interval, by n_runs combined runs.
 
         It is the work of grippers, and, if recorded, of obstacles, moving air and growing contact thickness.
         """
@@ -277,13 +277,13 @@ class ExtrapolationTableau:
         return accumulator.work + accumulator.wind_work + accumulator.recovery_work
 
     def accumulate(self, n_runs: int, accumulator: WorkAccumulator) -> None:
-        """Accumulate T_K, K = n_runs; integrals along the runs are extrapolated with the weights of the state."""
+        """Add the wrench and work integrals of n_runs combined runs to an accumulator."""
         self._make_runs(n_runs)
         runs, counts = self._runs[:n_runs], self.counts[:n_runs]
         accumulate_runs(accumulator, self._plan, self._start, self.t, self.duration, runs, counts, weights(counts))
 
     def _make_runs(self, n_runs: int) -> None:
-        """Calculate the missing runs; if there is none yet, the engine combines them in the same call.
+        """Calculate those of the first n_runs runs that are missing; the first call also combines them.
 
         Expected runs are calculated with them if a second thread is idle, or if they are shorter than a further call.
         Such a run changes neither results nor counts before it is requested.
@@ -317,7 +317,7 @@ class ExtrapolationTableau:
         return contact is not None and contact.contact_energy(self._runs[-1].min_gap) > 0.0
 
     def _execute(self, first: int, counts: Sequence[int], n_runs: int, concurrency: int) -> list[Run]:
-        """Calculate and store the runs from index ``first`` on in one call, with T_K, K = n_runs, if it is 0."""
+        """Calculate and store runs from index ``first`` on in one engine call; if it is 0, also their combination."""
         runs, result = self._plan.runs(
             self.t,
             self.duration,

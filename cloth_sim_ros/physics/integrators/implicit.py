@@ -13,11 +13,11 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class Implicit(Integrator):
-    """Two-stage singly diagonally implicit Runge-Kutta (Alexander, SIAM J. Numer. Anal. 14, 1977), gamma = 1 -
-    1/sqrt(2).
+    """Two-stage singly diagonally implicit Runge-Kutta method of order 2, for any stiffness and damping.
 
-    The stages are at t + gamma h and t + h; the second one is the new state (stiffly accurate). The method has order 2,
-    is L-stable and algebraically stable, therefore no step creates energy.
+    It is Alexander's (SIAM J. Numer. Anal. 14, 1977), gamma = 1 - 1/sqrt(2). The stages are at
+    t + gamma h and t + h; the second one is the new state (stiffly accurate). The method is L-stable and algebraically
+    stable, therefore no step creates energy.
 
     Each stage solves ``M (v - V) = d f(t, X + d v, v)``, d = gamma h, by Newton's iteration. Its matrix
     ``M + d^2 K + d D`` is assembled and factorised in every iteration. An old one is useless once stiff springs have
@@ -59,7 +59,7 @@ class Implicit(Integrator):
         is_strict: bool = False,
         max_evaluations: float = math.inf,
     ) -> Advance:
-        """Advance a state, see `Integrator.advance`.
+        """Advance ``state`` from time t [s] by duration [s], as `Integrator.advance` does.
 
         Args:
             plan: equations of motion.

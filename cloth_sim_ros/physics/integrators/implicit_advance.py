@@ -58,7 +58,7 @@ _ROUNDING = 1e-12
 
 
 class ImplicitSettings(Protocol):
-    """Settings of the implicit method, see `Implicit`."""
+    """Protocol of the settings of the implicit method: name, fixed step [s], tolerance [m], work limit."""
 
     name: str
     step: float | None
@@ -68,7 +68,7 @@ class ImplicitSettings(Protocol):
 
 @attrs.frozen
 class ImplicitStep:
-    """One step: positions [m] and velocities [m/s] at its end, last acceleration [m/s^2], error estimate [m]."""
+    """Result of an implicit step: end positions [m], velocities [m/s], last acceleration [m/s^2], error [m]."""
 
     x: Array
     v: Array
@@ -81,7 +81,7 @@ class ImplicitStep:
 
 
 class ImplicitAdvance:
-    """One advance of a state by a duration."""
+    """Computation of one advance by the implicit method: steps, error budget, work limit and counters."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class ImplicitAdvance:
         self._exhausted = False
 
     def run(self) -> Advance:
-        """Advance the state and return the result.
+        """Move the state by the duration, with finer steps until the error fits the budget or work runs out; report it.
 
         Raises:
             UnstableError: if the motion does not stay finite.
@@ -184,7 +184,7 @@ class ImplicitAdvance:
         return "work" if self._exhausted else ("frame" if steps == min_steps else "accuracy")
 
     def _next_step_count(self, steps: int, min_steps: int, error: float) -> int:
-        """Return the number of steps of the next advance: at least half of the present one."""
+        """Return the number of steps for the next advance, from this one's error: at least half of the present one."""
         if self._integrator.tolerance is None:
             return max(min_steps, steps // 2)
         if self._n_unsolved:
@@ -203,7 +203,7 @@ class ImplicitAdvance:
         return f"implicit: order 2, step {h:.3g} s set by the tolerance {tolerance:g} m"
 
     def _take_steps(self, steps: int) -> float | None:
-        """Take equal steps; return the sum of their errors [m], or None if a step has no result."""
+        """Move the state by equal steps; return the sum of their errors [m], or None if a step has no result."""
         h = self._duration / steps
         distance = _CONVERGENCE_FRACTION * self._budget / steps
         self._convergence_distance = distance if math.isfinite(self._budget) else CONVERGED_DISTANCE
@@ -226,7 +226,7 @@ class ImplicitAdvance:
         return error_sum
 
     def _take_step(self, t: float, h: float, guess: Array) -> tuple[float, Array] | None:
-        """Take a step; with contact, repeat it as two halves if it has no result.
+        """Move the state by a step; with contact, repeat it as two halves if it has no result.
 
         Returns:
             Its error [m] and its last acceleration [m/s^2]; None if even the smallest step has no result.
@@ -283,7 +283,7 @@ class ImplicitAdvance:
         return ImplicitStep(end, end_v, k2v, error, stages)
 
     def _descent_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
-        """Return an implicit Euler step that decreases its objective and creates no energy.
+        """Return an implicit Euler step by descent, for steps without a solution: stable, but inaccurate.
 
         Returns:
             The step; None if an obstacle intersects the cloth for every result.
@@ -315,7 +315,10 @@ class ImplicitAdvance:
         return step
 
     def _ccd_hits(self, t: float, h: float, end: Array) -> bool:
-        """True if a step causes an intersection, or ends too close for a later step to exclude one."""
+        """Return true if the straight path of a step leads through an obstacle or the cloth, or ends too close.
+
+        At such an end a later step could not exclude an intersection.
+        """
         contact = self._plan.contact
         if contact is None:
             return False
@@ -341,7 +344,7 @@ class ImplicitAdvance:
         return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic, work
 
     def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
-        """Solve a = a(t, x + d u, u), u = v + d a; return u [m/s] and a [m/s^2], or None without convergence."""
+        """Solve a = a(t, x + d u, u), u = v + d a by Newton's iteration; return u, a, or None."""
         x, v = self._stage_start(t, x, v, d)
         u = v + d * guess * self._is_free
         previous_size = math.inf
@@ -366,7 +369,7 @@ class ImplicitAdvance:
         return None
 
     def _stage_start(self, t: float, x: Array, v: Array, d: float) -> tuple[Array, Array]:
-        """Return the start of a stage from which its slopes lead prescribed particles to their points at time t [s]."""
+        """Return x and v of a stage's start, changed so that prescribed particles reach their points at time t [s]."""
         if not self._prescribed.size:
             return x, v
         x, v = x.copy(), v.copy()
@@ -391,7 +394,7 @@ class ImplicitAdvance:
             contact.offset_time(0.0)
 
     def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
-        """Return velocities that decrease the objective, from the best of several starts.
+        """Return velocities u [m/s] that decrease a stage's objective, by Newton steps from the best of several starts.
 
         Starts are the extrapolated motion, the present velocities, rest, and motions with each moving obstacle, which
         keep their distance from it.
@@ -420,7 +423,7 @@ class ImplicitAdvance:
         return u
 
     def _newton_correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
-        """Return Newton's correction of a stage's velocities [m/s], shape (3, n)."""
+        """Return Newton's correction of a stage's velocities u [m/s], shape (3, n); NaN inside an obstacle."""
         memory = self._state.memory
         positions, a = x + d * u, np.empty_like(x)
         self._plan.accelerations(t, positions, u, a, memory)
@@ -467,14 +470,14 @@ def _max_length(vectors: Array) -> float:
 
 
 def error_constant() -> float:
-    """Return the coefficient of h^3 in the difference of the method's stability function from the exponential."""
+    """Return the error constant of the method: coefficient of z^3 in its stability function minus exp(z)."""
     # R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
     third_coefficient = GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA))
     return abs(third_coefficient - 1.0 / 6.0)
 
 
-def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> Array:
-    """Return impulse and work of obstacles over a step whose contact force is that at its end.
+def _obstacle_impulses(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> Array:
+    """Return impulse and work of each obstacle over a step whose contact force is that at its end.
 
     The impulse of the implicit Euler method is h f, and the work is f'w with the displacement w of the obstacle. The
     contact energy is convex; it grows by at most f'(w - h u), and the kinetic energy by at most h f'u. Therefore the
@@ -503,11 +506,11 @@ def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep, mem
 
 
 def _recovery_work(plan: Plan, h: float, step: ImplicitStep, memory: StateMemory) -> float:
-    """Return the work of contacts that regain their thickness over such a step [J].
+    """Return the work [J] of contacts that regain their thickness in a step whose contact force is that at its end.
 
     It is the power at the end of the step times its length. The contact energy d_i^2 b(g / d_i) is convex in gap and
     thickness together, because 2 b b'' > b'^2. Therefore this is an upper bound of the added energy, see
-    `_obstacle_work_rates`.
+    `_obstacle_impulses`.
     """
     end_time, _, x, v = step.stages[-1]
     return 0.0 if plan.contact is None else h * plan.contact.recovery_power(end_time, x, v, memory)
@@ -526,17 +529,17 @@ def _external_work(plan: Plan, t: float, h: float, step: ImplicitStep, memory: S
             total += weight * plan.contact.recovery_power(stage_time, x, v, memory)
     if not step.acts_at_end:
         return total
-    total = ordered_sum(_obstacle_work_rates(plan, t, h, step, memory)[:, 6].tolist(), total)
+    total = ordered_sum(_obstacle_impulses(plan, t, h, step, memory)[:, 6].tolist(), total)
     return total + _recovery_work(plan, h, step, memory)
 
 
 def _accumulate_step(
     accumulator: WorkAccumulator, plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory
 ) -> None:
-    """Accumulate a step of length h [s] that starts at time t [s]."""
+    """Add the wrenches and work of a step from t to t + h [s] to an accumulator."""
     for stage_time, weight, x, v in step.stages:
         accumulate(accumulator, plan, stage_time, x, v, weight, memory, record_obstacles=not step.acts_at_end)
     if step.acts_at_end and accumulator.obstacle_count:
-        accumulator.add_obstacle_work(_obstacle_work_rates(plan, t, h, step, memory))
+        accumulator.add_obstacle_work(_obstacle_impulses(plan, t, h, step, memory))
     if step.acts_at_end and accumulator.record_power:
         accumulator.add_recovery_work(_recovery_work(plan, h, step, memory))

@@ -30,11 +30,11 @@ NO_PARTICLES: NDArray[np.int64] = np.empty(0, dtype=np.int64)
 
 
 class StageMatrix:
-    """Matrix of one model, positive definite because the negative stiffness of compressed springs is omitted.
+    """Band matrix M + d^2 K + d D of a model's implicit stages, without negative stiffness of compressed springs.
 
-    Springs, joints and membranes enter exactly. Hinges, panels and forces in numpy enter by particle blocks that bound
-    them, which slows the iteration. Free particles are numbered by reverse Cuthill-McKee, or row by row on a grid, for
-    a narrow band.
+    Therefore it is positive definite. Springs, joints and membranes enter exactly. Hinges, panels and forces in numpy
+    enter by particle blocks that bound them, which slows the iteration. Free particles are numbered by reverse
+    Cuthill-McKee, or row by row on a grid, for a narrow band.
     """
 
     def __init__(self, model: Model) -> None:
@@ -53,7 +53,7 @@ class StageMatrix:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Number of block rows, and blocks per row."""
+        """Number of block rows, and of 3x3 blocks per row of the upper half, diagonal included."""
         return self._matrix.count, self._matrix.width + 1
 
     def _band_pairs(self, parts: list[ElementList]) -> NDArray[np.int64]:
@@ -74,7 +74,7 @@ class StageMatrix:
     def update(
         self, t: float, x: Array, d: float, memory: StateMemory, prescribed: NDArray[np.int64] = NO_PARTICLES
     ) -> None:
-        """Factorise M + d^2 K + d D with stiffness K and damping D.
+        """Assemble and factorise M + d^2 K + d D with stiffness K and damping D at positions x.
 
         Args:
             t: time [s].
@@ -105,12 +105,12 @@ class StageMatrix:
         ]
 
     def solve(self, right: Array) -> None:
-        """Replace ``right`` (3, n) by the solution; zero for anchored particles."""
+        """Replace the right-hand side (3, n) by the solution; zero for anchored particles."""
         self._matrix.solve(right)
 
 
 class ParticleBlocks:
-    """A 3x3 block of each particle that bounds the stage matrix: x'Ax <= sum of x_i' B_i x_i.
+    """Block-diagonal bound of the stage matrix A, a 3x3 block a particle: x'Ax <= sum of x_i' B_i x_i.
 
     A correction by the blocks decreases the same objective, more slowly, for the price of a force evaluation.
 
@@ -127,7 +127,7 @@ class ParticleBlocks:
     def update(
         self, t: float, x: Array, d: float, memory: StateMemory, prescribed: NDArray[np.int64] = NO_PARTICLES
     ) -> None:
-        """Calculate the blocks of M + d^2 K + d D, see `StageMatrix.update`."""
+        """Calculate the particle blocks that bound M + d^2 K + d D, see `StageMatrix.update`."""
         stiffness, damping = np.zeros((2, 6, self._plan.model.particle_count))
         self._plan.add_bounds(x, stiffness, damping, t, memory)
         blocks = d * d * stiffness + d * damping
@@ -139,7 +139,7 @@ class ParticleBlocks:
         self._blocks = np.where(is_free, blocks, np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]).T)
 
     def solve(self, right: Array) -> None:
-        """Replace ``right`` (3, n) by the solution of each block."""
+        """Replace the right-hand side (3, n) by the solution with each particle's block."""
         xx, yy, zz, xy, xz, yz = self._blocks
         x, y, z = right.copy()
         # Cofactors of the symmetric block.
@@ -155,7 +155,7 @@ _MATRICES: WeakKeyDictionary[Model, StageMatrix] = WeakKeyDictionary()
 
 
 def stage_matrix(model: Model) -> StageMatrix:
-    """Return the matrix of a model; the first call builds it."""
+    """Return the `StageMatrix` of a model from a cache; the first call builds it."""
     if model not in _MATRICES:
         _MATRICES[model] = StageMatrix(model)
     return _MATRICES[model]
@@ -170,7 +170,7 @@ def iteration_cost(model: Model) -> float:
 
 
 def _split_forces(model: Model) -> tuple[list[Force], list[Force]]:
-    """Return springs, joints and membranes of a model, springs of a grid as lists, and its other forces."""
+    """Return two lists of a model's forces: springs (those of a grid as pairs), joints, membranes; and all others."""
     springs: list[Force] = []
     other_forces: list[Force] = []
     for force in model.forces:
@@ -190,7 +190,7 @@ def _coupled_pairs(part: ElementList) -> NDArray[np.int64]:
 
 
 def _rigidities(part: ElementList) -> Array:
-    """Return the stiffness of each coupled pair [N/m], that of a triangle by its largest modulus, shape (k,)."""
+    """Return the stiffness of each coupled pair [N/m], for triangles from the largest modulus, shape (k,)."""
     if not part.is_membrane:
         return part.coefficients[:, 1 if part.kind == "spring" else 0]
     assert part.shared_coefficients is not None

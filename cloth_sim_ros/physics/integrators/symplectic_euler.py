@@ -19,7 +19,7 @@ MAX_ATTEMPTS = 12
 
 
 class SymplecticEuler(Integrator):
-    """``v' = v + h a(t, x, v)``, ``x' = x + h v'``.
+    """Symplectic Euler method: ``v' = v + h a(t, x, v)``, ``x' = x + h v'``.
 
     Order 1. One force evaluation per step. Stable for ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial; the
     damping force uses the velocity of the previous step).
@@ -78,7 +78,7 @@ class SymplecticEuler(Integrator):
         return Advance(steps, evaluations, h, limit, rejected, self.name, limited_by, reason=reason)
 
     def _limit_at(self, plan: Plan, state: State, t: float, lookahead: float) -> float:
-        """Return the step limit at a time [s], including contact predicted over a duration [s]."""
+        """Return the stability limit of the step [s] at time t [s], with contact predicted over `lookahead` [s]."""
         omega2, damping = plan.spectral_bounds(state.x)
         try:
             contact_omega2, contact_damping = plan.predict_contact(t, lookahead, state.x, state.v, state.memory)
@@ -90,7 +90,7 @@ class SymplecticEuler(Integrator):
     def _take_steps(
         plan: Plan, state: State, t: float, h: float, steps: int, accumulator: WorkAccumulator | None
     ) -> None:
-        """Take equal steps of h [s] from time t [s]; the accumulator is reset before."""
+        """Move a state by equal steps of h [s] from time t [s], after a reset of the accumulator."""
         if accumulator is not None:
             accumulator.reset()
         a = np.empty_like(state.x)

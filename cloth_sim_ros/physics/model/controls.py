@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Controls: inputs of a frame.
+"""Controls: inputs of a frame for grips, obstacles and jaws.
 
 They are grasped particles, the paths of grippers, obstacles and jaws, jaw commands, and the recovery of thickness.
 Controls are never changed, but replaced. Therefore a plan knows by identity if it has uploaded them, and a snapshot
@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 # Without slots: a member keeps the validated arrays.
 @attrs.frozen(eq=False, slots=False)
 class Grasps:
-    """Grasped particles: gripper g grasps ``particles[starts[g]:starts[g + 1]]``."""
+    """Grasped particles of all grippers, with springs: gripper g grasps ``particles[starts[g]:starts[g + 1]]``."""
 
     #: First grip of each gripper, shape (grippers + 1,), int64.
     starts: NDArray[np.int64]
@@ -40,7 +40,7 @@ class Grasps:
 
     @property
     def prescribed_particles(self) -> NDArray[np.int64]:
-        """Particles that follow their points exactly, ascending."""
+        """Grasped particles that follow their points on the gripper exactly, ascending."""
         cached: NDArray[np.int64] | None = self.__dict__.get("_prescribed_particles")
         if cached is None:
             selected = self.particles[:0] if self.prescribed is None else self.particles[self.prescribed]
@@ -61,9 +61,7 @@ class Grasps:
         return np.repeat(np.arange(gripper_count), np.diff(self.starts))
 
     def validated(self, gripper_count: int, particle_count: int) -> tuple[NDArray[Any], ...]:
-        """Return copies for the engine: particles, gripper indices, offsets, stiffness, damping, prescribed.
-
-        It checks them once.
+        """Check the arrays once and return copies: particles, gripper indices, offsets, stiffness, damping, prescribed.
 
         Raises:
             ValueError: for arrays that do not fit together or are out of range.
@@ -102,7 +100,7 @@ class Grasps:
 
 
 class GripControls(NamedTuple):
-    """Controls of grippers."""
+    """Inputs of a frame for grippers: paths and grasped particles."""
 
     #: Paths of the grippers, shape (grippers, PATH_NUMBERS), see `Grips`.
     paths: Array
@@ -110,7 +108,7 @@ class GripControls(NamedTuple):
 
 
 class ThicknessRecovery(NamedTuple):
-    """Recovery of reduced contact thickness in a frame."""
+    """Recovery of a reduced contact thickness: start time, duration, and thickness at both ends."""
 
     #: Its start and its duration [s].
     t: float = 0.0
@@ -121,7 +119,7 @@ class ThicknessRecovery(NamedTuple):
 
 
 class ContactControls(NamedTuple):
-    """Controls of obstacles and jaws."""
+    """Inputs of a frame for contact: paths of obstacles and jaws, jaw commands, recovery of thickness."""
 
     #: Path of each obstacle, then the gripper's path for each jaw, shape (m, PATH_NUMBERS), see `Grips`.
     paths: Array
@@ -137,7 +135,7 @@ class ContactControls(NamedTuple):
 
 
 class Controls(NamedTuple):
-    """Controls of a frame; None for what the model lacks."""
+    """Inputs of a frame, of grips and of contact; None for what the model lacks."""
 
     grips: GripControls | None = None
     contact: ContactControls | None = None

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.forces.force import Array, Force
 
 
 class Model:
-    """Particles and the forces on them.
+    """Masses, anchors and forces of a cloth's particles: all that stays constant during its motion.
 
     Args:
         masses: particle masses [kg], shape (particle_count,), positive.
@@ -64,7 +64,7 @@ class Model:
         return fixed_sum(self.masses)
 
     def force(self, name: str) -> Force:
-        """Return the force with a name.
+        """Return the force of the model that has this name.
 
         Raises:
             KeyError: if the model has no such force.

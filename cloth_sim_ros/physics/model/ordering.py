@@ -15,10 +15,10 @@ _MAX_BANDWIDTH_FACTOR = 3.0
 
 
 def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """Return an order of particles in which those that interact lie close together, shape (particle_count,).
+    """Return an order of particles that brings interacting ones close together; None if the present order does.
 
-    It is the reversed order of Cuthill and McKee and depends on the pairs alone. The result is None if the present
-    order is local already, as in a chain or a grid.
+    It is the reversed order of Cuthill and McKee, shape (particle_count,), and depends on the pairs alone. Chains and
+    grids are in such an order already.
 
     Args:
         particle_count: number of particles.

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @attrs.frozen(eq=False, kw_only=True)
 class ElementList:
-    """Springs, joints, hinges or panels on any particles."""
+    """Elements of one kind for the engine, such as springs or hinges: particles and coefficients of each."""
 
     #: A key of `engine.binding.KINDS`.
     kind: str
@@ -28,12 +28,13 @@ class ElementList:
 
     @property
     def is_membrane(self) -> bool:
+        """True for membrane triangles."""
         return self.kind in ("membrane", "stiffening_membrane")
 
 
 @attrs.frozen(kw_only=True)
 class GridFamily:
-    """All springs of a grid in one direction.
+    """All springs of a grid in one direction, with common stiffness, rest length and damping.
 
     Attributes:
         name: right, down, diagonal, antidiagonal, right2 or down2; rows are counted downwards, columns to the right.
@@ -82,9 +83,7 @@ Part: TypeAlias = ElementList | SpringGrid | UniformForces | ContactPart
 
 
 def min_damping_time(stiffness: Any, damping: Any) -> float:
-    """Return the least c / k [s] of the elements with stiffness k [N/m] and damping c [N s/m]; infinity if none is
-    stiff.
-    """
+    """Return the least ratio c / k [s] of damping [N s/m] to stiffness [N/m]; infinity if no stiffness is above 0."""
     k, c = np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float)
     is_stiff = k > 0.0
     return float((c[is_stiff] / k[is_stiff]).min()) if is_stiff.any() else np.inf

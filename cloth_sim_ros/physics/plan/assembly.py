@@ -43,7 +43,7 @@ ELEMENT_OPERATIONS |= {"quadratic": 120, "bending_friction": 160, "coupling": 40
 
 @attrs.define(eq=False)
 class Assembly:
-    """The forces of a model, sorted by kind."""
+    """The forces of a model, sorted into the engine's parts: grid, element lists, grips, contact, uniform, Python."""
 
     model: Model
     #: Forces in Python (numpy).
@@ -59,7 +59,7 @@ class Assembly:
 
     @classmethod
     def of(cls, model: Model) -> Assembly:
-        """Sort a model's forces.
+        """Return a model's forces, sorted into parts.
 
         Raises:
             ValueError: if a force does not fit the model, or if two forces must be merged into one.
@@ -103,7 +103,7 @@ class Assembly:
 
     @property
     def plastic(self) -> ElementList | None:
-        """The hinges with friction; None without any."""
+        """Element list of the hinges with bending friction; None without any."""
         return next((part for part in self.element_lists if part.kind == PLASTIC_KIND), None)
 
     def upload(self, handle: int) -> None:
@@ -122,12 +122,12 @@ class Assembly:
         check(library().cloth_plan_uniform(handle, self.gravity.ctypes.data, self.wind.ctypes.data, self.drag))
 
     def pair_counts(self) -> list[int]:
-        """Return the number of blocks of each list in an implicit matrix: one a spring or joint, three a membrane."""
+        """Return the number of 3x3 blocks of each element list: one a spring or joint, three a membrane, else 0."""
         blocks = {"spring": 1, "joint": 1, "membrane": 3, "stiffening_membrane": 3}
         return [blocks.get(part.kind, 0) * len(part.particles) for part in self.element_lists]
 
     def min_damping_time(self) -> float:
-        """Return the least c / k [s] of springs, joints and membranes, see `min_damping_time`."""
+        """Return the least ratio of damping to stiffness, c / k [s], of springs, joints and membranes."""
         coefficients = [part.coefficients for part in self.element_lists if part.kind in ("spring", "joint")]
         damping_times = [min_damping_time(numbers[:, -2], numbers[:, -1]) for numbers in coefficients]
         families = () if self.grid is None else self.grid.families
@@ -147,17 +147,17 @@ class Assembly:
         return CONSTANTS.operation_time * total / count + python_cost
 
     def hinge_cost(self) -> float:
-        """Return the part of `step_cost` that hinges take [ns]."""
+        """Return the estimated time of a step for one particle that hinge forces take [ns], a part of `step_cost`."""
         total = sum(self._operations(part) for part in self.element_lists if part.kind in HINGE_KINDS)
         return CONSTANTS.operation_time * total / self.model.particle_count
 
     def _operations(self, part: ElementList) -> int:
-        """Return the operations of a step of all elements of a list."""
+        """Return the number of arithmetic operations that all elements of a list take in a step."""
         is_cell = self.grid is not None and part.kind in GRID_CELL_OPERATIONS
         return (GRID_CELL_OPERATIONS if is_cell else ELEMENT_OPERATIONS)[part.kind] * len(part.particles)
 
     def _upload_order(self, handle: int) -> None:
-        """Upload an order of particles in which neighbours lie close together; it is invisible outside."""
+        """Upload an order of particles that brings neighbours together in memory; results keep the model's order."""
         from cloth_sim_ros.physics.model.ordering import local_order
 
         count = self.model.particle_count
@@ -169,7 +169,7 @@ class Assembly:
 
 
 def _merge_grids(parts: Sequence[SpringGrid]) -> SpringGrid | None:
-    """Merge all spring families of a sheet: the engine sweeps over them together."""
+    """Merge all spring families of a sheet into one grid, because the engine sweeps over them together."""
     if not parts:
         return None
     rows, columns = parts[0].rows, parts[0].columns
@@ -188,7 +188,7 @@ def _merge_grids(parts: Sequence[SpringGrid]) -> SpringGrid | None:
 
 
 def _family_table(sheet: SpringGrid) -> Array:
-    """Return the engine's coefficient table: one row for each family, shape (families, 6)."""
+    """Return the engine's table of a grid's spring coefficients: one row for each family, shape (families, 6)."""
     table = np.zeros((len(FAMILIES), 6))
     table[:, 2], table[:, 5] = 1.0, -1.0
     for family in sheet.families:
@@ -215,7 +215,7 @@ def _upload_elements(handle: int, part: ElementList) -> None:
 
 
 def _membrane_damping_time(part: ElementList) -> float:
-    """Return the least ratio of viscosity to stiffness [s] of triangles."""
+    """Return the least ratio of viscosity to modulus [s] of a list of membrane triangles."""
     assert part.shared_coefficients is not None
     times = min_damping_time(part.shared_coefficients[[0, 2, 3]], part.shared_coefficients[[4, 6, 7]])
     sizes = part.coefficients[:, 5] / part.coefficients[:, 4]

@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 
 class GripBinding(Uncopyable):
-    """Engine binding of the grips of one plan.
+    """Engine binding of a plan's grips: uploads grasped particles and paths, evaluates wrenches.
 
     Args:
         engine_plan: handle of the engine's plan.
@@ -37,7 +37,7 @@ class GripBinding(Uncopyable):
         self._paths_shape = (self.count, binding.PATH_NUMBERS)
 
     def upload(self) -> None:
-        """Upload grasped particles and paths if they changed."""
+        """Upload grasped particles and paths of grippers to the engine if they changed."""
         controls, uploaded = self.force.controls, self._uploaded
         if controls is uploaded:
             return
@@ -62,7 +62,7 @@ class GripBinding(Uncopyable):
         return self.force.controls.grasps.prescribed_particles
 
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
-        """Set positions [m] and velocities [m/s], (3, n), of the prescribed particles at time t [s].
+        """Set x [m] and v [m/s], (3, n), of prescribed particles to their gripper's at time t [s]; return the impulses.
 
         Returns:
             Impulse [N s] (3), angular impulse [N m s] (3), work [J] and dissipation [J] of each gripper by the change
@@ -75,7 +75,7 @@ class GripBinding(Uncopyable):
         return out
 
     def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> tuple[int, Array]:
-        """Return force and torque of the cloth on each gripper, its power on the cloth, and what its joints dissipate.
+        """Return the wrench of the cloth on each gripper, the gripper's power on the cloth, and its grips' dissipation.
 
         Args:
             t: time [s].
@@ -94,12 +94,12 @@ class GripBinding(Uncopyable):
         return status, out
 
     def min_damping_time(self) -> float:
-        """Return the least c / k [s] of the grips; infinity if there are none."""
+        """Return the least ratio of damping to stiffness, c / k [s], of the grips; infinity if there are none."""
         grasps = self.force.controls.grasps
         return min_damping_time(grasps.stiffness, grasps.damping)
 
     def add_bounds(self, stiff: Array, damped: Array) -> None:
-        """Add stiffness [N/m] and damping [N s/m] of grips to blocks (6, n)."""
+        """Add stiffness [N/m] and damping [N s/m] of grips to the blocks (6, n) of their particles."""
         grasps = self.force.controls.grasps
         # Several grippers may grasp one particle: plain indexing would not add up.
         for axis in range(3):

@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def normalized(orientation: ArrayLike) -> Array:
-    """Return the unit quaternion (x, y, z, w) of an orientation, shape (4,).
+    """Return a quaternion (x, y, z, w) scaled to length 1, as an array, shape (4,).
 
     Raises:
         ValueError: if it is not finite or has no length.
@@ -32,7 +32,7 @@ def normalized(orientation: ArrayLike) -> Array:
 
 
 def unit_quaternion(orientation: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return the unit quaternion of four numbers as numbers, in a fifth of the time that an array takes.
+    """Return a quaternion (x, y, z, w) scaled to length 1, as a tuple; five times as fast as `normalized`.
 
     Raises:
         ValueError: if it is not finite or has no length.
@@ -100,14 +100,14 @@ def rotation_matrix(orientation: Array) -> Array:
 
 
 def to_body_frame(pose: Array, points: Array) -> Array:
-    """Return points (3, m) [m] in the frame of a body with a pose, 7 numbers, shape (m, 3)."""
+    """Transform points (3, m) [m] from the world's frame to that of a body with a pose, 7 numbers; shape (m, 3)."""
     x, y, z = points - pose[:3, None]
     rotation = rotation_matrix(pose[3:])
     return np.stack([rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z for i in range(3)], axis=1)
 
 
 def body_points(poses: Array, points: Array) -> Array:
-    """Return the positions [m] of points (n, 3) that are fixed in bodies with poses (n, 7), shape (n, 3)."""
+    """Return the world positions [m] of points (n, 3) that are fixed in bodies with poses (n, 7), shape (n, 3)."""
     x, y, z = points.T[:, :, None]
     rows = rotation_matrix(poses[:, 3:].T)
     rotated: Array = rows[:, 0].T * x + rows[:, 1].T * y + rows[:, 2].T * z
@@ -115,7 +115,7 @@ def body_points(poses: Array, points: Array) -> Array:
 
 
 def _step_poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float]]]:
-    """Return the poses of a path at the start t and the end t + h of a step [s].
+    """Return the two poses of a body on its path, at the start t and the end t + h of a step [s].
 
     Returns:
         Two positions [m] and two unit quaternions (x, y, z, w).
@@ -131,7 +131,7 @@ def _step_poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[
 
 
 def step_displacement(row: Array, t: float, h: float) -> list[float]:
-    """Return the displacement [m] and rotation vector [rad] of a body over a step, 6 numbers.
+    """Return the displacement [m] and rotation vector [rad] of a body on its path over a step, 6 numbers.
 
     Args:
         row: the body's path, PATH_NUMBERS.
@@ -143,7 +143,7 @@ def step_displacement(row: Array, t: float, h: float) -> list[float]:
 
 
 def rigid_velocities(row: Array, t: float, h: float, x: Array) -> Array:
-    """Return the velocities [m/s] of particles that move rigidly with a body, shape (3, n).
+    """Return the mean velocities [m/s] over a step of particles that move rigidly with a body, shape (3, n).
 
     Args:
         row: the body's path, PATH_NUMBERS.
@@ -161,7 +161,7 @@ def rigid_velocities(row: Array, t: float, h: float, x: Array) -> Array:
 
 
 class PathPlanner:
-    """Plans the paths of bodies, frame by frame."""
+    """Plans smooth paths of grippers and obstacles to their targets, frame by frame."""
 
     def __init__(self) -> None:
         # Arrays that the last frame returned, and their addresses: the next call mostly takes them.
@@ -171,7 +171,7 @@ class PathPlanner:
     def plan(
         self, t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
     ) -> tuple[Array, Array, Array, list[float]]:
-        """Plan cubic paths from pose and twist to the targets over one frame.
+        """Plan cubic paths from pose and twist to the targets over one frame; return paths and end twists.
 
         The end velocity is the part of this frame's mean velocity that agrees with that of the last frame. A steady
         stream of targets is followed without ripple. A jump arrives at rest without overshoot (docs/design.md).
@@ -210,5 +210,5 @@ class PathPlanner:
 def planned_paths(
     t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
 ) -> tuple[Array, Array, Array, list[float]]:
-    """Return the result of `PathPlanner.plan` for a single frame."""
+    """Plan cubic paths for a single frame, as `PathPlanner.plan` does."""
     return PathPlanner().plan(t, duration, poses, twists, previous, targets)

@@ -52,7 +52,7 @@ MAX_STEPS = 2**31 - 1
 
 
 def compile(model: Model) -> Plan:
-    """Compile a model to a plan.
+    """Compile a model to a plan, through which the engine computes its motion.
 
     Raises:
         ValueError: if a force does not fit the model.
@@ -161,7 +161,7 @@ class Plan(PlanQueries, Uncopyable):
 
     @property
     def controls(self) -> Controls:
-        """Commands of this frame; the next run or query uploads what is new."""
+        """Inputs of the frame: grasped particles, paths, jaws; the next run or query uploads those that changed."""
         contact = self.contact
         return Controls(
             None if self.grips is None else self.grips.controls, None if contact is None else contact.force.controls
@@ -335,13 +335,13 @@ class Plan(PlanQueries, Uncopyable):
             self._call_lock.release()
 
     def _addresses(self, x: Array, v: Array) -> tuple[int, int]:
-        """Return the addresses of positions and velocities; those of the newest combination are known."""
+        """Return the addresses of positions and velocities, without a check for those of the newest combination."""
         if x is self._last_result[0] and v is self._last_result[1]:
             return self._last_address, self._last_address + x.nbytes
         return doubles("x", x, self._shape), doubles("v", v, self._shape)
 
     def _request_steps(self, steps: Sequence[int]) -> None:
-        """Write new numbers of steps into the request."""
+        """Check the numbers of steps of runs and write them into the engine's request."""
         self._requested_steps = None
         count = len(steps)
         if not (1 <= count <= MAX_RUNS and min(steps) >= 1 and max(steps) <= MAX_STEPS):
@@ -355,9 +355,7 @@ class Plan(PlanQueries, Uncopyable):
         self._requested_steps = tuple(steps)
 
     def contact_cost(self, t: float, duration: float, state: State) -> float:
-        """Return the estimated time [ns] that contact adds to a force evaluation within a duration [s] from time t [s]
-        on.
-        """
+        """Return the estimated time [ns] that contact adds to each force evaluation from t to t + duration [s]."""
         contact = self.contact
         return 0.0 if contact is None else CONSTANTS.operation_time * contact.operation_count(t, duration, state)
 
@@ -366,13 +364,13 @@ class Plan(PlanQueries, Uncopyable):
         return self.step_cost - (multirate - 1) / multirate * self._hinge_cost
 
     def threads_per_run(self, multirate: int) -> int:
-        """Return the number of threads that share each step of a run."""
+        """Return the number of threads, 1 or 2, that share each step of a run at a multirate ratio."""
         # A second thread pays only if a step is long enough.
         is_long = self.multirate_step_cost(multirate) * self._shape[1] >= 1e3 * CONSTANTS.engine_call_time
         return available_threads() if is_long and self._is_shareable else 1
 
     def concurrent_runs(self, runs: int, steps: int, multirate: int) -> int:
-        """Return the number of runs to calculate at once.
+        """Return the number of runs to calculate concurrently, each by one thread; 1 if that does not pay.
 
         It is above 1 if the engine calculates alone and the runs are long enough to wake a thread. Sharing each run
         between threads must not be better. Runs with contact of the surface do not share their steps.
@@ -405,7 +403,7 @@ class Plan(PlanQueries, Uncopyable):
     def predict_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY
     ) -> tuple[float, float]:
-        """Return what contact may add to `spectral_bounds` within a duration [s] from time t [s] on.
+        """Return bounds of squared frequency and damping rate that contact may add within a duration [s] from t [s] on.
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
@@ -420,13 +418,13 @@ class Plan(PlanQueries, Uncopyable):
 
     @property
     def has_end_memory(self) -> bool:
-        """True if runs change the memory of a state: anchors, jaws or plastic lengths."""
+        """True if runs change a state's memory: friction anchors, jaws or plastic lengths."""
         return self.plastic is not None or (self.contact is not None and self.contact.force.has_memory)
 
     def combine_ends(
         self, t: float, x: Array, v: Array, runs: Sequence[Run], weights: Sequence[float], memory: StateMemory
     ) -> dict[str, Array]:
-        """Return anchors, jaws and plastic lengths of a weighted combination of runs, by their key in the memory.
+        """Return friction anchors, jaws and plastic lengths at the end of combined runs, by key of the state's memory.
 
         Args:
             t: time at the end [s].
@@ -445,7 +443,9 @@ class Plan(PlanQueries, Uncopyable):
         return ends
 
     def update_after_step(self, t: float, h: float, state: State) -> float:
-        """Update jaws, anchors and plastic lengths of a state after a step that kept them.
+        """Update jaws, friction anchors, plastic lengths after a step; return the work of bending friction [J].
+
+        The step held them constant.
 
         Args:
             t: time at the end of the step [s].
@@ -463,20 +463,20 @@ class Plan(PlanQueries, Uncopyable):
         return work
 
     def steady(self) -> bool:
-        """Return true if all forces at given positions and velocities are constant until the next event."""
+        """Return true if no force depends explicitly on time until the next event."""
         return all(force.steady() for force in self.model.forces)
 
     def supports_single_precision(
         self, duration: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY
     ) -> bool:
-        """Return true if runs over a duration [s] from a state may calculate in single precision."""
+        """Return true if the model's forces allow runs in single precision over a duration [s] from a state."""
         if self._python_forces or self.plastic is not None:
             return False
         return self.contact is None or self.contact.supports_single_precision(duration, x, v, memory)
 
 
 def _check_multirate(multirate: int, steps: Sequence[int]) -> None:
-    """Refuse a multirate ratio that is not odd, or does not divide all steps."""
+    """Raise an error if a multirate ratio is not odd, or does not divide all numbers of steps."""
     is_odd = type(multirate) is int and multirate > 0 and multirate % 2 == 1
     if not is_odd or any(n_steps % multirate for n_steps in steps):
         raise ValueError(

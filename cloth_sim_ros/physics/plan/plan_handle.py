@@ -12,7 +12,7 @@ from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 
 class PlanHandle(Uncopyable):
-    """Owns the engine's plan of a model; frees it with the last reference.
+    """Owner of a model's plan in the engine's memory: frees it with the last reference.
 
     Every object that uses `pointer` keeps a reference to this object: the plan, and parts that may outlive it, such as
     `Plan.contact`.

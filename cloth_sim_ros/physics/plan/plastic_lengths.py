@@ -17,7 +17,9 @@ from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, PLASTIC
 
 
 class PlasticLengths(Uncopyable):
-    """Plastic lengths [m] of the hinges of a plan. A memory without them, or with those of another cloth, is at rest.
+    """Engine binding of hinges' plastic lengths [m], the state of bending friction: uploads and combines them.
+
+    A memory without them, or with those of another cloth, is at rest.
 
     Args:
         engine_plan: handle of the engine's plan.
@@ -33,7 +35,7 @@ class PlasticLengths(Uncopyable):
         self._uploaded: Array | None = None
 
     def upload(self, memory: StateMemory) -> None:
-        """Upload the plastic lengths of a state's memory, if they changed.
+        """Upload the plastic lengths of a state's memory to the engine, if they changed.
 
         Raises:
             ValueError: for `MISSING_MEMORY`.
@@ -50,16 +52,16 @@ class PlasticLengths(Uncopyable):
             self._uploaded = lengths
 
     def of(self, memory: StateMemory) -> Array:
-        """Return the plastic lengths of a state's memory [m], shape (hinges,)."""
+        """Return the plastic lengths of a memory [m], or the rest lengths if it has none that fit, shape (hinges,)."""
         lengths = memory.get(PLASTIC_LENGTHS_KEY)
         return lengths if lengths is not None and lengths.shape == self._rest_lengths.shape else self._rest_lengths
 
     def end_buffer(self, runs: int) -> Array:
-        """Return a buffer for the plastic lengths at the ends of runs, shape (runs, hinges)."""
+        """Allocate an uninitialised array for the plastic lengths at the ends of runs, shape (runs, hinges)."""
         return np.empty((runs, len(self._rest_lengths)))
 
     def combine(self, x: Array, ends: Array, weights: Sequence[float]) -> tuple[Array, float]:
-        """Return the plastic lengths of a weighted combination of runs, and the work of their return [J].
+        """Return the weighted plastic lengths of runs, mapped to the yield surface, and the work of the mapping [J].
 
         They are returned to the yield surface at the combined positions.
 
@@ -74,5 +76,5 @@ class PlasticLengths(Uncopyable):
         return out, float(work[0])
 
     def returned(self, x: Array, memory: StateMemory) -> tuple[Array, float]:
-        """Return the plastic lengths of a memory after a motion to positions x (3, n), and the dissipated work [J]."""
+        """Return a memory's plastic lengths, mapped to the yield surface at x (3, n), and the dissipated work [J]."""
         return self.combine(x, self.of(memory)[None], [1.0])

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.forces.force import Force
 
 
 class PythonForces:
-    """Forces with formulas in Python.
+    """Callback by which the engine evaluates a model's Python forces.
 
     Args:
         forces: the Python forces of the model.
@@ -29,7 +29,7 @@ class PythonForces:
         self.callback = CALLBACK(_make_callback(weakref.ref(self)))
 
     def raise_pending(self) -> None:
-        """Raise the exception that ended a run.
+        """Raise the exception of a Python force that ended a run.
 
         Raises:
             Exception: the exception of a force.
@@ -40,7 +40,7 @@ class PythonForces:
         raise exception or KeyboardInterrupt("a signal came between the engine and a force in numpy")
 
     def evaluate(self, t: float, x: Any, v: Any, f: Any, powers: Any) -> int:
-        """Evaluate the forces and return `CALLED_WELL`; return 0 after an exception."""
+        """Add all forces [N] to f, and their powers [W] if requested; return `CALLED_WELL`, or 0 after an exception."""
         try:
             positions, velocities, forces = (np.ctypeslib.as_array(array, self._shape) for array in (x, v, f))
             for force in self._forces:

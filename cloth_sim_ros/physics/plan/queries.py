@@ -52,13 +52,13 @@ class PlanQueries:
     _query_address: int
 
     def _raise_for_status(self, status: int) -> None:
-        """Raise the error of a call, or that of a force in Python."""
+        """Raise the error of an engine call's status, or the exception of a Python force."""
         if status == 3 and self._python_callback is not None:
             self._python_callback.raise_pending()
         check(status)
 
     def _upload(self, memory: StateMemory) -> None:
-        """Upload the controls and a state's memory as far as they changed."""
+        """Upload the controls and a state's memory to the engine, unless it has them already."""
         if self.contact is not None:
             self.contact.upload(memory)
         if self.plastic is not None:
@@ -67,8 +67,7 @@ class PlanQueries:
             self._grip_binding.upload()
 
     def spectral_bounds(self, x: Array) -> tuple[float, float]:
-        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
-        x.
+        """Return upper bounds of squared angular frequencies [1/s^2] and of damping rates c/m [1/s] at positions x.
 
         Contact is not included: its bounds depend on the motion, see `predict_contact`.
         """
@@ -76,7 +75,7 @@ class PlanQueries:
         return omega2, damping
 
     def detailed_spectral_bounds(self, x: Array, *, hinges: bool = False) -> list[float]:
-        """Return the spectral bounds of the whole model and of hinges alone, five numbers.
+        """Return the spectral bounds of the whole model without contact, and those of hinges alone, five numbers.
 
         Args:
             x: positions [m], shape (3, n).
@@ -117,7 +116,7 @@ class PlanQueries:
         return float(out[0])
 
     def velocity_displacement(self, t: float, x: Array, errors: Array, time: float) -> tuple[float, int]:
-        """Return the largest displacement of a particle [m] that velocity errors cause later.
+        """Return the largest displacement [m] that velocity errors cause within a time [s], and the evaluations spent.
 
         It is the largest particle of (A + 1/time^2)^(-1/2) e with A = M^-1 K, by the Lanczos method
         (docs/derivations/time_stepping.md). Contact, friction of bending, grips and forces in Python are left out,
@@ -140,7 +139,7 @@ class PlanQueries:
         return displacement, int(evaluations)
 
     def min_damping_time(self) -> float:
-        """Return the least c / k [s] of springs, joints and grips; 0 if one is undamped."""
+        """Return the least ratio of damping to stiffness, c / k [s], of springs and grips; 0 if one is undamped."""
         grips = self._grip_binding
         return self._min_damping_time if grips is None else min(self._min_damping_time, grips.min_damping_time())
 
@@ -160,13 +159,13 @@ class PlanQueries:
         return kinetic + potential
 
     def mass_blocks(self, x: Array) -> Array:
-        """Return the mass blocks of the air that the cloth carries along at x [kg], shape (6, n)."""
+        """Return 3x3 mass blocks of the air that each particle carries along (added mass) at x [kg], shape (6, n)."""
         blocks = np.empty((6, self.model.particle_count))
         check(self._library.cloth_mass_blocks(self._handle, doubles("x", x, self._shape), address(blocks)))
         return blocks
 
     def momenta(self, x: Array, v: Array) -> Array:
-        """Return the momenta ``M v`` [kg m/s] of cloth and air at x, v relative to the air, shape (3, n)."""
+        """Return the momenta ``M v`` [kg m/s] of particles and their added mass; v relative to air, shape (3, n)."""
         momenta = self.model.masses * v
         if self.carries_air:
             xx, yy, zz, xy, xz, yz = self.mass_blocks(x)
@@ -176,14 +175,14 @@ class PlanQueries:
         return momenta
 
     def air_energy(self, x: Array, v: Array) -> float:
-        """Return the part of the kinetic energy that the air has, which the cloth carries along [J]."""
+        """Return the kinetic energy [J] of the air that the cloth carries along (added mass)."""
         if not self.carries_air:
             return 0.0
         masses = self.model.masses
         return 0.5 * weighted_dot(np.ones_like(masses), self.momenta(x, v) - masses * v, v)
 
     def powers(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> tuple[float, float]:
-        """Return the dissipated power and the power of moving air [W]; joints of grippers are not included."""
+        """Return the power that springs and drag dissipate, and that of wind [W]; without grips and contact."""
         self._upload(memory)
         out = np.empty(2)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
@@ -196,13 +195,13 @@ class PlanQueries:
         return _NO_PARTICLES if self._grip_binding is None else self._grip_binding.prescribed_particles
 
     def free_particles(self) -> NDArray[np.bool_]:
-        """Return true for each particle that is neither anchored nor prescribed, shape (n,)."""
+        """Return a mask of the particles that are neither anchored nor prescribed by a gripper, shape (n,)."""
         is_free = self.model.inverse_masses > 0.0
         is_free[self.prescribed_particles()] = False
         return is_free
 
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
-        """Set positions and velocities of the prescribed particles, see `GripBinding.prescribe`."""
+        """Set x [m], v [m/s] of prescribed particles to their gripper's; return impulses, work and dissipation."""
         if self._grip_binding is None:
             return np.zeros((0, RECORD_NUMBERS))
         return self._grip_binding.prescribe(t, x, v)
@@ -210,7 +209,7 @@ class PlanQueries:
     def grip_wrench_rates(
         self, t: float, x: Array, v: Array, weight: float = 1.0, memory: StateMemory = MISSING_MEMORY
     ) -> Array:
-        """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.
+        """Return the wrench of the cloth on each gripper, the gripper's power on the cloth, and its grips' dissipation.
 
         Args:
             t: time [s].
@@ -243,15 +242,13 @@ class PlanQueries:
         return ordered_sum(self.contact.wrench_rates(t, x, v, memory)[:, 7].tolist(), dissipated)
 
     def supply(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
-        """Return the power of moving air on the cloth [W]."""
+        """Return the power of wind on the cloth [W]."""
         return self.powers(t, x, v, memory)[1]
 
     def add_bounds(
         self, x: Array, stiff: Array, damped: Array, t: float = 0.0, memory: StateMemory = MISSING_MEMORY
     ) -> None:
-        """Add blocks that bound stiffness [N/m] and damping [N s/m] at time t [s], each (6, n): u'Ku <= sum of u_i' B_i
-        u_i.
-        """
+        """Add particle blocks B (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i."""
         self._upload(memory)
         shape = (6, self.model.particle_count)
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
@@ -278,7 +275,7 @@ class PlanQueries:
             force.add_jacobian_product(t, x, v, dx, dv, out)
 
     def pair_blocks(self, list_index: int, count: int, x: Array, stiffness: float, damping: float) -> Array:
-        """Return the blocks B of one of the plan's lists of springs or joints, (count, 6), or membranes, (count, 9).
+        """Return 3x3 blocks ``stiffness`` K + ``damping`` C of each element of a list of springs, joints or membranes.
 
         `StageMatrix` uses them.
 
@@ -288,6 +285,9 @@ class PlanQueries:
             x: positions [m], shape (3, n).
             stiffness: factor on the stiffness.
             damping: factor on the damping.
+
+        Returns:
+            Shape (count, 6) for springs and joints: xx, yy, zz, xy, xz, yz; (count, 9) for membranes, by rows.
 
         Raises:
             ValueError: if the plan has no such list.

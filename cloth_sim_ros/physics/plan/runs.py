@@ -18,7 +18,7 @@ VIOLATION_INDEX = 2 - binding.CONTACT_SUMMARY_NUMBERS
 
 
 class Run(NamedTuple):
-    """Result of one leapfrog run over an interval."""
+    """Result of one leapfrog run over an interval: end state, memory, and integrals of wrenches and powers."""
 
     #: Positions [m] and velocities [m/s] at the end, shape (2, 3, n).
     end_state: Array
@@ -55,39 +55,39 @@ class Run(NamedTuple):
 
     @property
     def gripper_integrals(self) -> Array:
-        """Integrals of each gripper, shape (grippers, RECORD_NUMBERS)."""
+        """Integrals of wrench, power and dissipation of each gripper over the run, shape (grippers, 8)."""
         return self.integrals[: RECORD_NUMBERS * self.grippers].reshape(-1, RECORD_NUMBERS)
 
     @property
     def power_integrals(self) -> Array:
-        """Integrals of the powers of damping and of moving air [J], shape (2,)."""
+        """Energy that damping dissipated and work of moving air over the run [J], shape (2,)."""
         first = RECORD_NUMBERS * self.grippers
         return self.integrals[first : first + 2]
 
     @property
     def obstacle_integrals(self) -> Array:
-        """Integrals of each obstacle, shape (obstacles, RECORD_NUMBERS)."""
+        """Integrals of wrench, power and dissipation of each obstacle over the run, shape (obstacles, 8)."""
         first = RECORD_NUMBERS * self.grippers + 2
         return self.integrals[first : self._base_size].reshape(-1, RECORD_NUMBERS)
 
     @property
     def encountered_energy(self) -> float:
-        """Largest energy per mass that an obstacle contact took up during the run, in U^2/2."""
+        """Largest energy per mass that an obstacle contact had to absorb in the run (unit U^2/2 of the contact law)."""
         return self.contact_summary[0]
 
     @property
     def min_gap(self) -> float:
-        """Least gap during the run [m]; infinite without contact."""
+        """Least gap between particles and obstacles during the run [m]; infinite without contact."""
         return self.contact_summary[1]
 
     @property
     def self_contact(self) -> tuple[float, float]:
-        """Squared frequency [1/s^2] and damping rate [1/s] of self-contact that the run resolved."""
+        """Bounds of squared frequency [1/s^2] and damping rate [1/s] of self-contact during the run."""
         return self.contact_summary[2]
 
     @property
     def contact_summary(self) -> tuple[float, float, tuple[float, float]]:
-        """`encountered_energy`, `min_gap` and `self_contact` in one read."""
+        """Largest contact energy, least gap [m] and bounds of self-contact of the run: three properties in one read."""
         size = self._base_size
         if len(self.integrals) == size:
             return 0.0, math.inf, (0.0, 0.0)
@@ -101,12 +101,12 @@ class Run(NamedTuple):
 
     @property
     def friction_work(self) -> float:
-        """Work of friction between layers [J]; requires `record_power`."""
+        """Energy that friction between layers of the cloth dissipated [J]; requires `record_power`."""
         return float(self.integrals[self._base_size + 5]) if self._has_contact else 0.0
 
     @property
     def recovery_work(self) -> float:
-        """Work of contacts that regain their thickness [J]; requires `record_power`."""
+        """Work on the cloth by contacts that regain their thickness [J]; requires `record_power`."""
         return float(self.integrals[self._base_size + 6]) if self._has_contact else 0.0
 
     @property
@@ -119,12 +119,12 @@ class Run(NamedTuple):
 
 
 def n_integrals(grippers: int, obstacles: int) -> int:
-    """Return the number of integrals for some grippers and obstacles, powers included."""
+    """Return the number of entries of `Run.integrals` without those of contact: grippers, obstacles and two powers."""
     return RECORD_NUMBERS * (grippers + obstacles) + 2
 
 
 def activity_of(change: float, difference: float) -> float:
-    """Return the activity of an interval [m/s].
+    """Return the activity [m/s] of an interval: unsteadiness of its force, from particles' velocity changes.
 
     A constant force causes no error, one that turns causes much, even if its size stays.
 
@@ -136,7 +136,7 @@ def activity_of(change: float, difference: float) -> float:
 
 
 class RunSummary(NamedTuple):
-    """Summary of the combined result of runs."""
+    """Summary of combined runs: activity, spectral bounds and contact at the end."""
 
     #: Activity [m/s], see `activity_of`. It is infinite if a number is not finite, a particle is inside an obstacle, or
     #: the cloth may intersect itself.
@@ -159,5 +159,5 @@ class RunSummary(NamedTuple):
 
     @property
     def is_finite(self) -> bool:
-        """True if every number of the result is finite."""
+        """True if the result is finite, no particle is inside an obstacle, and the cloth does not intersect itself."""
         return self.activity < float("inf")

@@ -24,13 +24,13 @@ _LIMIT = _ThreadLimit()
 
 
 def available_threads() -> int:
-    """Return the number of threads of a frame that the calling thread starts; no bit depends on it."""
+    """Return how many threads a frame that the calling thread starts may use, at most 2; no bit depends on it."""
     return 1 if _LIMIT.is_single else min(MAX_THREADS, len(os.sched_getaffinity(0)))
 
 
 @contextlib.contextmanager
 def single_threaded() -> Iterator[None]:
-    """Restrict frames that the calling thread starts to one thread."""
+    """Restrict frames that the calling thread starts to one thread, during a `with` block."""
     previous, _LIMIT.is_single = _LIMIT.is_single, True
     try:
         yield

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NoReturn
 
 
 class Uncopyable:
-    """An object whose copy would write into the same memory of the engine: `copy` and `pickle` raise an error."""
+    """Base class of objects that `copy` and `pickle` refuse, because a copy would use the same memory of the engine."""
 
     #: Cause and remedy in the error.
     copy_refusal: ClassVar[str] = (

@@ -18,13 +18,13 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 
 
 class HasMemory(Protocol):
-    """A state with named arrays."""
+    """Protocol of a state with a dictionary of named arrays."""
 
     memory: dict[str, np.ndarray]
 
 
 class ControllerState:
-    """Numbers of one controller, stored as an array in ``State.memory`` under `key`."""
+    """Base class of the numbers that one controller keeps in ``State.memory``, as an array under `key`."""
 
     #: Key in ``State.memory``.
     key: str
@@ -33,17 +33,17 @@ class ControllerState:
 
     @classmethod
     def load(cls, state: HasMemory) -> Self:
-        """Return the numbers of a state, or defaults if it has none."""
+        """Read the controller's numbers from a state's memory; return defaults if it has none."""
         stored = state.memory.get(cls.key)
         return cls() if stored is None else cls(*stored.tolist())  # an empty array gives defaults, too
 
     def store(self, state: HasMemory) -> None:
-        """Write the numbers into a state."""
+        """Write the controller's numbers into a state's memory."""
         state.memory[self.key] = np.array(_value_getter(self.__class__)(self))  # type: ignore[arg-type]
 
     @classmethod
     def check(cls, array: np.ndarray) -> None:
-        """Refuse an array that `store` cannot have written.
+        """Raise an error if `store` cannot have written an array: type, shape, or a number out of range.
 
         Raises:
             ValueError: naming the number and its fault.
@@ -67,7 +67,7 @@ class ControllerState:
 
 @cache
 def _value_getter(rule: Any) -> Callable[[Any], Any]:
-    """Return a function that reads all fields of a controller, in order."""
+    """Return a function that reads all fields of a controller state as a tuple, in the order of the array."""
     names = rule.__match_args__
     if len(names) > 1:
         return attrgetter(*names)
@@ -75,13 +75,13 @@ def _value_getter(rule: Any) -> Callable[[Any], Any]:
 
 
 def bounded_number(default: float, *, minimum: float = -math.inf, is_later: bool = False) -> Any:
-    """Declare a field with its default and its minimum; a later one is missing in states of earlier versions."""
+    """Declare an attrs field with default and minimum; a later field may be missing in states of older versions."""
     return attrs.field(default=default, metadata={"minimum": minimum, "is_later": is_later})
 
 
 @attrs.define
 class StabilityState(ControllerState):
-    """State of `StabilityRule`."""
+    """State of `StabilityRule`: spectral bounds after the last advance, and the longest stable step."""
 
     key = "control.stability"
 
@@ -94,7 +94,7 @@ class StabilityState(ControllerState):
 
 @attrs.define
 class MultirateState(ControllerState):
-    """State of `MultirateRule`; only scenes with hinges have it."""
+    """State of `MultirateRule`: spectral bounds of hinges and multirate ratio; only scenes with hinges have it."""
 
     key = "control.hinges"
 
@@ -111,7 +111,7 @@ class MultirateState(ControllerState):
 
 @attrs.define
 class ErrorState(ControllerState):
-    """State of `ErrorRule`."""
+    """State of `ErrorRule`: number of runs, refinement, last error estimate, and time until the next one."""
 
     key = "control.error_estimate"
 
@@ -145,7 +145,7 @@ class ErrorState(ControllerState):
 
 @attrs.define
 class ContactState(ControllerState):
-    """State of `ContactStepLimit`; only scenes with contact have it."""
+    """State of `ContactStepLimit`: largest contact energy per mass of the last frame with an error estimate."""
 
     key = "control.contact"
 
@@ -155,7 +155,7 @@ class ContactState(ControllerState):
 
 @attrs.define
 class PrecisionState(ControllerState):
-    """Measured effect of single precision on positions."""
+    """State of the choice of precision: measured effect of single precision on positions [m]."""
 
     key = "control.single_precision"
 
@@ -169,7 +169,7 @@ class PrecisionState(ControllerState):
 
 @attrs.define
 class RoundingNoiseState(ControllerState):
-    """Measured energy input of single-precision rounding; absent until it was measured."""
+    """Measured power that rounding in single precision adds to the cloth [W]; absent until it was measured."""
 
     key = "control.noise"
 
@@ -183,7 +183,7 @@ class RoundingNoiseState(ControllerState):
 
 @attrs.define
 class EnergyState(ControllerState):
-    """State of `EnergyRule`."""
+    """State of `EnergyRule`: energy drift [J] and least squared frequency since the last restart."""
 
     key = "control.energy"
 
@@ -195,7 +195,7 @@ class EnergyState(ControllerState):
 
 @attrs.define
 class FallbackState(ControllerState):
-    """State of the fallback."""
+    """State of the fallback: number of consecutive frames that fallback steps had to finish."""
 
     key = "control.fallback"
 
@@ -205,7 +205,7 @@ class FallbackState(ControllerState):
 
 @attrs.define
 class ImplicitState(ControllerState):
-    """State of the implicit method."""
+    """State of the implicit method: its step size [s]."""
 
     key = "control.implicit"
 
@@ -215,7 +215,7 @@ class ImplicitState(ControllerState):
 
 @attrs.define
 class IntegratorChoiceState(ControllerState):
-    """State of the choice between explicit and implicit steps."""
+    """State of integrator `auto`: explicit or implicit steps, and the costs that were last compared."""
 
     key = "control.choice"
 
@@ -234,7 +234,7 @@ class IntegratorChoiceState(ControllerState):
 
 @attrs.define
 class SleepState(ControllerState):
-    """State of the sleep rule."""
+    """State of the sleep rule: quiet frames, displacement, time asleep, and drift omitted by sleep."""
 
     key = "control.sleep"
 
@@ -306,12 +306,12 @@ LEGACY_KEYS = (
 
 
 def with_jaws(memory: StateMemory, jaws: np.ndarray | None) -> StateMemory:
-    """Return a state's memory with other jaw states; None keeps them."""
+    """Return a copy of a state's memory with other jaw states; None keeps them."""
     return memory if jaws is None else {**memory, JAWS_KEY: jaws}
 
 
 def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
-    """Return a state's memory after the jaws have moved uniformly for a duration [s], which may be negative."""
+    """Return a state's memory with jaws moved at their speeds for a duration [s], which may be negative."""
     jaws = memory.get(JAWS_KEY)
     if jaws is None:
         return memory

@@ -47,7 +47,7 @@ _OBSTACLES: _Table = {
 
 
 def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
-    """Refuse memory from which controllers, grippers, obstacles, pause or sleep can't continue; unknown names pass.
+    """Raise an error if a known array of a state's memory has wrong type, shape or range; unknown names pass.
 
     The arrays of grippers and grips occur together, or none of them; so do those of obstacles.
 
@@ -133,7 +133,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
 def _check_table(
     contents: str, memory: Mapping[str, np.ndarray], table: _Table, length_arrays: Mapping[str, str]
 ) -> bool:
-    """Check arrays that occur together, or none of them; return whether they occur.
+    """Check type and shape of arrays of which a memory has all or none; return true if it has them.
 
     Args:
         contents: their owner, for messages.

@@ -65,7 +65,7 @@ def read(data: bytes) -> dict[str, np.ndarray]:
 
 
 def _check_sizes(data: bytes) -> None:
-    """Refuse arrays that need too much memory, before any array is read."""
+    """Raise an error if the arrays of an .npz file need too much memory, before any is read."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
     size = integer_sum(entry.file_size for entry in entries)

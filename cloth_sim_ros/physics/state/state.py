@@ -30,7 +30,7 @@ _THICKNESS = "contact_thickness"
 
 @with_old_names(become="assign", go_back="restore_motion", share="shallow_copy")
 class State:
-    """Positions, velocities, frame number, and the memory of controllers and grips.
+    """Full state of a cloth: positions, velocities, frame number, and named memory of controllers and contact.
 
     Args:
         positions: particle positions [m], shape (particle_count, 3).
@@ -101,7 +101,7 @@ class State:
         return arrays
 
     def copy(self) -> State:
-        """Return an independent copy."""
+        """Return an independent copy, arrays included."""
         twin = self.shallow_copy()
         twin.x, twin.v = self.x.copy(), self.v.copy()
         twin.memory = {name: array.copy() for name, array in self.memory.items()}
@@ -111,7 +111,7 @@ class State:
     __copy__ = copy
 
     def shallow_copy(self) -> State:
-        """Return a shallow copy with the same arrays, also in its memory.
+        """Return a copy that shares all arrays, those of its memory included.
 
         Code that moves a state replaces its arrays and never writes into them.
         """
@@ -120,14 +120,14 @@ class State:
         return twin
 
     def assign(self, source: State) -> None:
-        """Assign all fields of another state, with the same arrays; `restore` copies them."""
+        """Take over all fields of another state, sharing its arrays; `restore` copies them."""
         self.x, self.v = source.x, source.v
         self.frame, self.cloth, self.dropped_memory = source.frame, source.cloth, source.dropped_memory
         self.thickness = source.thickness
         self.memory = dict(source.memory)
 
     def restore_motion(self, start: State) -> None:
-        """Restore positions, velocities, anchors, jaws and plastic lengths: all that an interval itself changes."""
+        """Return to another state's positions, velocities, anchors, jaws and plastic lengths, sharing its arrays."""
         self.x, self.v = start.x, start.v
         for name in (ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY):
             self.memory.pop(name, None)
@@ -201,7 +201,7 @@ class State:
 
 
 def _check_core(frame: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
-    """Check type and shape of the arrays that every state file has; the constructor checks their entries."""
+    """Check type and shape of a state file's frame number, positions and velocities; not their entries."""
     if frame.dtype != np.int64 or frame.shape != ():
         raise ValueError(
             f"array '{_FRAME}' is of type {frame.dtype} and shape {frame.shape}; it must be a single int64"
@@ -246,7 +246,7 @@ def _array_header(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> byt
 
 @functools.lru_cache(maxsize=1024)
 def _memory_header(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
-    """Return the digest's header of an array in the memory."""
+    """Return the digest's header of an array of the memory: prefixed name, type and shape."""
     return _array_header(_MEMORY + name, kind, shape)
 
 

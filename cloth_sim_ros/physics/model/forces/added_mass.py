@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part
 
 
 class AddedMass(EngineForce):
-    """Inertia of the air that moves with the panels of a cloth, across them only.
+    """Added mass: inertia of the air that moves with the panels of a cloth, along their normals only.
 
     The kinetic energy of the air is
 
@@ -56,7 +56,7 @@ class AddedMass(EngineForce):
         self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
 
     def in_wind(self, wind: ArrayLike) -> AddedMass:
-        """Return the same panels in another wind [m/s], shape (3,)."""
+        """Return a copy of this force with another wind [m/s], shape (3,)."""
         panels = copy.copy(self)
         panels.wind = finite("wind", wind, (3,), one_for_all=False)
         return panels

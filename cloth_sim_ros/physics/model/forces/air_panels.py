@@ -21,7 +21,7 @@ from cloth_sim_ros.physics.old_names import with_old_names
 
 @with_old_names(blown="in_wind", common="coefficients")
 class AirPanels(EngineForce):
-    """Linear drag of every panel relative to the air, shared evenly by its k corners.
+    """Linear drag of every panel of the cloth's surface relative to the air, shared evenly by its k corners.
 
         F = -A/k (c_n n n' + c_t (1 - n n')) (v - w).
 
@@ -60,14 +60,14 @@ class AirPanels(EngineForce):
         self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
 
     def in_wind(self, wind: ArrayLike) -> AirPanels:
-        """Return the same panels in another wind [m/s], shape (3,)."""
+        """Return a copy of this force with another wind [m/s], shape (3,)."""
         panels = copy.copy(self)
         panels.wind = finite("wind", wind, (3,), one_for_all=False)
         return panels
 
     @property
     def coefficients(self) -> Array:
-        """c_n, c_t [N s/m^3] and the wind [m/s], shape (5,)."""
+        """Drag coefficients c_n across and c_t along the surface [N s/m^3], and the wind [m/s], shape (5,)."""
         return np.array([self.normal, self.tangential, *self.wind])
 
     def parts(self, particle_count: int) -> Sequence[Part]:

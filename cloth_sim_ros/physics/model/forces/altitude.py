@@ -10,7 +10,7 @@ from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
 
 
 class AltitudeSprings(HingeSprings):
-    """One spring per hinge on the blend of its tetrahedron's seven candidates (three edge-edge, four point-face).
+    """Bending springs (S9): one per hinge, on a blend of its tetrahedron's seven edge-edge and point-face distances.
 
     Candidate c has the signed length h_c = 6V/M_c, with ``M_c = |a × b|`` of its face or its pair of edges. The blend
     has the length h.

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part
 
 
 class BendingFriction(EngineForce):
-    """Friction of hinges: a spring of stiffness k on S8's length h, with the tension -k (h - h_p), at most k reach.
+    """Internal friction of bending: elasto-plastic springs on S8's length h, force -k (h - h_p), at most k reach [N].
 
     Beyond the reach the plastic length h_p follows h, and the spring dissipates. Plastic lengths belong to the state
     (`State.memory`, key `bending.plastic_lengths`); docs/derivations/bending_friction.md derives the force. It has no

@@ -24,7 +24,7 @@ CANDIDATES: dict[str, tuple[str, tuple[int, int, int, int]]] = {
 
 
 class CandidateSprings(HingeSprings):
-    """Springs on one of the seven candidate lengths of each hinge's tetrahedron: three edge-edge, four point-face.
+    """Bending springs on one of a hinge tetrahedron's seven signed distances: three edge-edge, four point-face.
 
     The signed length is ``h = 6V / M``. M is ``|a x b|`` of the two opposite edges, or of the face below the point. The
     length is positive if the wings rise to the side of the surface's normal.

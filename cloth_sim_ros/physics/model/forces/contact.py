@@ -81,7 +81,7 @@ class ContactSurface:
 
 
 class Contact(EngineForce):
-    """Contact of particles with moving obstacles and, if given, of the cloth's surface with itself.
+    """Contact force between particles and moving obstacles and, if given, between layers of the cloth's surface.
 
     Let g be the gap between a particle and an obstacle, d the thickness and s = g / d. A particle of mass m has the
     energy ``m U^2/2 (1 - s)^4/s`` for s < 1, with U = 35 m/s. The energy is proportional to mass; therefore the motion
@@ -158,7 +158,7 @@ class Contact(EngineForce):
         self.controls = ContactControls(paths, np.zeros((len(self.jaws), 2), dtype=bool))
 
     def set_paths(self, paths: Array) -> None:
-        """Set new paths, shape (m, PATH_NUMBERS), for the present obstacles and jaws."""
+        """Set the paths of obstacles and jaws for the next frame, shape (m, PATH_NUMBERS)."""
         self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
@@ -168,7 +168,7 @@ class Contact(EngineForce):
     def start_recovery(
         self, t: float, duration: float = 0.0, thickness: Array | None = None, start: Array | None = None
     ) -> None:
-        """Start the recovery of a reduced contact thickness.
+        """Start the growth of a reduced contact thickness from `start` to `thickness` [m] over a duration [s].
 
         Args:
             t: start of the recovery [s].
@@ -188,7 +188,7 @@ class Contact(EngineForce):
         return (ContactPart(contact=self),)
 
     def steady(self) -> bool:
-        """Return true if no obstacle moves or turns over its path near the cloth, and no thickness recovers."""
+        """Return true if no obstacle near the cloth moves in this frame, and no thickness recovers."""
         paths, recovery, is_away = self.controls.paths, self.controls.recovery, self.controls.is_away
         if is_away is not None and is_away.any():
             paths = np.concatenate([paths[: len(is_away)][~is_away], paths[len(is_away) :]])

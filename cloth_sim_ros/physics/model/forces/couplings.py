@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part
 
 
 class Couplings(EngineForce):
-    """Energy Σ k |x_j - x_i|²/2 over pairs, with constants k of either sign.
+    """Linear zero-length springs between pairs of particles: energy Σ k |x_j - x_i|²/2, with k [N/m] of either sign.
 
     The force on the far end is -k (s + τ ds/dt), s its position relative to the near end. Elastic forces have neither
     resultant nor torque. The caller has to choose constants whose energy is at least 0 for all positions, such as those

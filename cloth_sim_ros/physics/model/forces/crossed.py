@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Crossed springs (S8): the lecture's second bending spring.
+"""Crossed springs (S8): bending springs between a hinge's edge and its wings' line.
 
-It connects the shared edge with the bending spring.
+S8 is the lecture's second bending spring.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
 
 
 class CrossedSprings(HingeSprings):
-    """Edge-edge springs (S8): h is the signed distance between the lines of the shared edge a and of the wings b.
+    """Bending springs (S8) on the signed distance h between a hinge's shared edge a and the line b between its wings.
 
     The distance is 6V divided by the norm of a × b. It is positive if the wings rise to the side of the surface's
     normal. Parallel lines, as in a symmetric pair folded by exactly 180°, have no common normal: there the force would

@@ -12,7 +12,7 @@ from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
 
 class Drag(EngineForce):
-    """Air at rest slows each particle by the acceleration -rate v.
+    """Linear drag of each particle in still air: the acceleration -rate v.
 
     Args:
         rate: drag rate [1/s], at least 0.

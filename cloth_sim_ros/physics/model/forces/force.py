@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Force:
-    """One force of a model.
+    """Base class of a model's forces: force, energy, dissipation, and bounds of stiffness and damping.
 
     A force of the engine describes its parts in `parts`. A Python force does not override `parts`. It overrides
     `add_force` and, if it has them, `energy`, `add_stiffness` and the other methods. A Python force costs only its own
@@ -39,7 +39,7 @@ class Force:
     damps_waves: ClassVar[bool] = True
 
     def parts(self, particle_count: int) -> Sequence[Part] | None:
-        """Return the force's parts for the engine; None for a Python force.
+        """Describe the force to the engine by parts (springs, hinges, uniform, contact); None for a Python force.
 
         Raises:
             ValueError: if the force does not fit the number of particles.
@@ -47,11 +47,11 @@ class Force:
         return None
 
     def steady(self) -> bool:
-        """Return true if the force at given positions and velocities is constant until the next event."""
+        """Return true if the force does not depend explicitly on time until the next event."""
         return True
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
-        """Add the force [N] to ``f``."""
+        """Add the force on each particle [N] at time t [s] to ``f`` (3, n)."""
         raise NotImplementedError(f"force '{self.name}' has neither parts nor add_force")
 
     def energy(self, t: float, x: Array) -> float:
@@ -63,25 +63,25 @@ class Force:
         return 0.0
 
     def supply(self, t: float, x: Array, v: Array) -> float:
-        """Return the power [W] of the force on the cloth, except for the change of its energy."""
+        """Return the external power [W] that the force supplies, as wind does; without elastic and dissipated power."""
         return 0.0
 
     def add_stiffness(self, x: Array, blocks: Array) -> None:
         """Add particle blocks B [N/m] that bound the stiffness K at x: u'Ku <= sum over particles of u_i' B_i u_i."""
 
     def add_damping(self, x: Array, blocks: Array) -> None:
-        """Add particle blocks [N s/m] that bound the damping matrix as `add_stiffness` bounds the stiffness."""
+        """Add particle blocks B [N s/m] that bound the damping matrix D at x: u'Du <= sum of u_i' B_i u_i."""
 
     def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
         """Add the derivative of the force along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out``."""
 
 
 class EngineForce(Force):
-    """A force of the engine, described by its parts; a plan evaluates it."""
+    """Base class of a force that the engine computes, described by its parts; only a plan can evaluate it."""
 
     @abstractmethod
     def parts(self, particle_count: int) -> Sequence[Part]:
-        """Return the force's parts for the engine.
+        """Describe the force to the engine by parts: element lists, spring grids, uniform forces, contact.
 
         Raises:
             ValueError: if the force does not fit the number of particles.

@@ -75,7 +75,7 @@ class GridSprings(EngineForce):
 
     @cached_property
     def pair_springs(self) -> PairSprings:
-        """List of the springs, built on first use."""
+        """These springs as a list of particle pairs, in a force that is built on first use."""
         family_springs = [self._family_springs(family) for family in self.families]
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, _ in family_springs)])
         coefficients = np.concatenate([np.empty((0, 3)), *(numbers for _, numbers in family_springs)])

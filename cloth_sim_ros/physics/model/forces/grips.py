@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.old_names import with_old_names
 
 @with_old_names(go_back="restore", move="set_paths", noted="save", owners="gripper_indices")
 class Grips(EngineForce):
-    """Zero-length springs between grasped particles and points fixed to moving grippers.
+    """Grips: zero-length springs from grasped particles to points on grippers, or prescribed motions of particles.
 
     ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper. A grip may instead
     prescribe the motion of its particle, which then follows its point exactly (docs/derivations/prescribed_grip.md).
@@ -62,7 +62,7 @@ class Grips(EngineForce):
         damping: Array,
         prescribed: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Set the grasped particles: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
+        """Set paths, grasped particles and their springs: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
 
         Args:
             paths: paths of the grippers, shape (gripper_count, PATH_NUMBERS).
@@ -84,7 +84,7 @@ class Grips(EngineForce):
         self.controls = GripControls(np.array(paths, dtype=np.float64), grasps)
 
     def set_paths(self, paths: Array) -> None:
-        """Set new paths, shape (gripper_count, PATH_NUMBERS), for the present grips."""
+        """Set the grippers' paths for the next frame, shape (gripper_count, PATH_NUMBERS); the grips stay."""
         self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def save(self) -> GripControls:
@@ -108,7 +108,7 @@ class Grips(EngineForce):
         return self.controls.grasps.gripper_indices(self.gripper_count)
 
     def steady(self) -> bool:
-        """Return true if no gripper with grips moves or turns over its path."""
+        """Return true if no gripper that grasps a particle moves or turns in this frame."""
         grasps = self.controls.grasps
         if not grasps.particles.size:
             return True

@@ -69,7 +69,7 @@ class HingeSprings(EngineForce):
 
 
 def signed_lengths(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
-    """Return the signed lengths h [m] of hinges, shape (m,); NaN if undefined.
+    """Return the signed lengths h [m] of hinges at positions x (3, n), for a kind of length, (m,); NaN if undefined.
 
     Args:
         hinges: particles (edge0, edge1, wing0, wing1), shape (m, 4).
@@ -80,7 +80,7 @@ def signed_lengths(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
 
 
 def gradient_squares(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
-    """Return |dh/dx|^2 of the length's gradient with respect to each of the four particles, shape (m, 4)."""
+    """Return |dh/dx|^2 of each hinge's signed length h with respect to each of its four particles, shape (m, 4)."""
     return _lengths(hinges, x, kind)[1]
 
 

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part, SpringGrid
 
 
 class MembraneTriangles(EngineForce):
-    """Orthotropic St. Venant-Kirchhoff triangles; docs/derivations/membrane.md derives them.
+    """Membrane force of orthotropic St. Venant-Kirchhoff triangles; docs/derivations/membrane.md derives it.
 
     a and b are the present images of unit vectors along warp and weft. Green's strains are e1 = (a·a - 1)/2 and e2 =
     (b·b - 1)/2, the shear is γ = a·b. The energy per area at rest is C11 e1²/2 + C12 e1 e2 + C22 e2²/2 + G γ²/2.
@@ -114,7 +114,7 @@ class MembraneTriangles(EngineForce):
 
 
 def _growing(name: str, growth: ArrayLike) -> Array:
-    """Return limits and increases of three moduli as an array, shape (3, 2).
+    """Check strain limits and increases [N/m] of three growing moduli; return them as an array, shape (3, 2).
 
     Raises:
         ValueError: unless they are finite, not negative, and an increase has a limit above 0.
@@ -129,7 +129,7 @@ def _growing(name: str, growth: ArrayLike) -> Array:
 
 
 def _definite(name: str, numbers: ArrayLike) -> Array:
-    """Return C11, C12, C22, C33 as an array.
+    """Check that C11, C12, C22, C33 are positive semidefinite; return them as an array, shape (4,).
 
     Raises:
         ValueError: unless they are finite and positive semidefinite.

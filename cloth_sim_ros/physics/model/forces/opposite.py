@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Opposite springs (S7): the lecture's bending spring.
+"""Opposite springs (S7): bending springs between the opposite vertices of two triangles.
 
-It connects the opposite vertices of two triangles with a common edge.
+The triangles share an edge. S7 is the lecture's bending spring.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 
 
 class OppositeSprings(PairSprings):
-    """Bending springs (S7): pair springs between the wings of each hinge.
+    """Bending springs (S7): pair springs between the wings, the two opposite vertices, of each hinge.
 
     Let L be the distance of the wings of two equal triangles when flat. A fold θ then has the energy k L θ⁴/128 and the
     moment k L θ³/32. Therefore these springs do not resist small folds and have no bending modulus. With a rest angle

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part
 
 
 class PairSprings(EngineForce):
-    """Damped springs by the lecture's law (S1); joints (S4) if the rest length is zero.
+    """Damped springs between pairs of particles, force k_s times strain (S1); joints (S4) if the rest length is 0.
 
     Let s be the position of the far end relative to the near end. A spring's force on the far end is ``F = -k_s (|s|/l0
     - 1) s/|s| - k_d (ds/dt . s/|s|) s/|s|``, a joint's is ``F = -k s - k_d ds/dt``.
@@ -55,7 +55,7 @@ class PairSprings(EngineForce):
 
     @property
     def rigidity(self) -> Array:
-        """Force per length [N/m], shape (m,): k_s / l0 of a spring, k of a joint."""
+        """Spring constant, force per extension [N/m], shape (m,): k_s / l0 of a spring, k of a joint."""
         return self.stiffness / np.where(self.rest_length > 0.0, self.rest_length, 1.0)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
@@ -72,7 +72,7 @@ class PairSprings(EngineForce):
 
 
 def lecture_damping(k_d0: ArrayLike, rigidity: ArrayLike, mass: ArrayLike) -> Array:
-    """Return the damping k_d = k_d0 sqrt(m k) [N s/m] (S1; S4 at l0 = 0).
+    """Return the damping coefficient k_d = k_d0 sqrt(m k) [N s/m] of a spring of dimensionless damping k_d0.
 
     Args:
         k_d0: dimensionless damping.

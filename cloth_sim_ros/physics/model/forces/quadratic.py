@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part
 
 
 class QuadraticHinges(EngineForce):
-    """Hinges with the energy k |L|²/2, where L = Σ w_i x_i is zero at rest; docs/derivations/quadratic_bending.md.
+    """Bending hinges with the energy k |L|²/2, quadratic in positions: L = Σ w_i x_i is 0 when flat.
 
     Rigid triangles folded by θ have |L| = 2 sin(θ/2), so the energy is k (1 - cos θ). It is convex in positions: a flat
     sheet is its only rest. The force is -k w_i (L + τ dL/dt). Its elastic part has no resultant and no torque. The

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
 
 class Wind(EngineForce):
-    """The constant acceleration rate w of wind.
+    """Uniform wind of velocity w: the constant acceleration rate * w of every particle.
 
     Drag relative to the air is the acceleration -rate (v - w). `Drag` has the part -rate v, this force the part rate w.
     The force is constant but counts as work of the wind, not as potential energy.

@@ -51,15 +51,15 @@ from cloth_sim_ros.physics.model.sheets.surface import needs_opposite_spring
 
 BendingModel = Literal["opposite", "crossed", "altitude", "quadratic"]
 
-#: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which another ratio holds, and that ratio. Each is the
-#: middle of the range in which a pair finds its rest shape again (docs/bending.md has the map).
 #: Largest sine of a rest fold that counts as flat.
 _FLAT_SINE = 1e-3
+#: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which another ratio holds, and that ratio. Each is the
+#: middle of the range in which a pair finds its rest shape again (docs/bending.md has the map).
 RATIOS = {"crossed": (2.0, math.pi, 2.0), "altitude": (0.5, math.radians(80.0), 1.4)}
 
 
 def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_modulus: float) -> Array:
-    """Return k_θ [N m] of hinges (m, 4) of a triangle mesh at rest at `positions` (n, 3), shape (m,).
+    """Return hinge constants k_θ [N m] of hinges (m, 4) of a triangle mesh at rest at `positions` (n, 3), shape (m,).
 
     Raises:
         ValueError: for a modulus that is not finite and at least 0, or a triangle without area.
@@ -68,7 +68,11 @@ def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_mod
 
 
 def shape_hinge_constants(shape: HingeShape, *, bending_modulus: float) -> Array:
-    """Return k_θ [N m] of hinges of a triangle mesh from their rest shape, shape (m,); errors as above."""
+    """Return hinge constants k_θ [N m] of a triangle mesh from its hinges' rest shape, shape (m,).
+
+    Raises:
+        ValueError: for a modulus that is not finite and at least 0.
+    """
     _check_modulus(bending_modulus)
     return 1.125 * bending_modulus * shape.edge / (0.5 * (shape.height0 + shape.height1))
 
@@ -76,7 +80,7 @@ def shape_hinge_constants(shape: HingeShape, *, bending_modulus: float) -> Array
 def grid_hinge_constants(
     hinges: ArrayLike, *, columns: int, spacing: tuple[float, float], bending_modulus: float | tuple[float, float]
 ) -> Array:
-    """Return k_θ [N m] of hinges (m, 4) of a grid, shape (m,).
+    """Return hinge constants k_θ [N m] of hinges (m, 4) of a grid, from bending moduli, shape (m,).
 
     Args:
         hinges: those of `surface.grid_hinges`, which bend best, or those of the grid's one surface.
@@ -130,8 +134,9 @@ def bending_terms(
     shape: HingeShape | None = None,
     weights: Array | None = None,
 ) -> list[PairSprings | HingeSprings | QuadraticHinges]:
-    """Return the springs of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9,
-    `quadratic` has quadratic hinges alone.
+    """Return the forces of a sheet's bending springs for a bending model.
+
+    `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9, `quadratic` has quadratic hinges alone.
 
     Args:
         model: the bending model.
@@ -192,7 +197,7 @@ def bending_terms(
 
 
 def check_flat(hinges: NDArray[np.int64], shape: HingeShape, subject: str) -> None:
-    """Refuse hinges (m, 4) of a rest shape that is not flat, for bending that is.
+    """Raise an error if a hinge (m, 4) is folded at rest, for bending models that are flat at rest.
 
     Args:
         hinges: particles of the hinges.
@@ -212,7 +217,7 @@ def check_flat(hinges: NDArray[np.int64], shape: HingeShape, subject: str) -> No
 
 
 def hinge_weights(shape: HingeShape) -> Array:
-    """Return the weights of quadratic hinges of flat triangles [1/m], shape (m, 4).
+    """Return the weights w_i [1/m] of the particles of quadratic hinges, from flat triangles, shape (m, 4).
 
     The vector Σ w_i x_i is the sum of the unit vectors from the edge to both wings, at right angles to it.
     """
@@ -222,9 +227,10 @@ def hinge_weights(shape: HingeShape) -> Array:
 
 
 def grid_hinge_weights(hinges: ArrayLike, *, columns: int, spacing: tuple[float, float]) -> Array:
-    """Return the weights of quadratic hinges of a grid without rounding, shape (m, 4): see `hinge_weights`.
+    """Return the weights w_i [1/m] of the particles of a grid's quadratic hinges, without rounding, shape (m, 4).
 
-    The hinges of an edge along a column have second differences along a row, those of a diagonal twists of a cell.
+    They are those of `hinge_weights`. The hinges of an edge along a column have second differences along a row, those
+    of a diagonal twists of a cell.
 
     Args:
         hinges: those of `surface.grid_hinges`, shape (m, 4).
@@ -243,7 +249,7 @@ def grid_hinge_weights(hinges: ArrayLike, *, columns: int, spacing: tuple[float,
 
 
 def _damping_time(damping: float, constants: Array, weights: Array, masses: Array) -> float:
-    """Return the time of damping [s]: the least k_d / k over hinges, where k_d is that of `_hinge_damping`."""
+    """Return the damping time of quadratic hinges [s]: the least k_d / k over hinges; 0 without damping."""
     is_stiff = constants > 0.0
     if not damping or not is_stiff.any():
         return 0.0
@@ -255,7 +261,7 @@ def _damping_time(damping: float, constants: Array, weights: Array, masses: Arra
 def spring_constants(
     model: Literal["crossed", "altitude"], shape: HingeShape, hinge_constants: ArrayLike, *, ratio: float | None = None
 ) -> tuple[Array, Array]:
-    """Return κ̂ of S8 or S9 and κ7 of S7 [N/m], each (m,), with which a fold from rest has the energy k_θ Δθ²/2.
+    """Return spring constants κ̂ of S8 or S9 and κ7 of S7 [N/m], (m,) each, that give folds the energy k_θ Δθ²/2.
 
     Raises:
         ValueError: for a hinge constant or ratio out of range.
@@ -283,7 +289,7 @@ def _square(a: Array) -> Array:
 
 
 def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -> Array:
-    """Return (C11, C22, C66) [N/m] that S7 adds to a flat sheet's stiffness in its plane, shape (3,).
+    """Return the in-plane stiffness (C11, C22, C66) [N/m] that bending springs S7 add to a flat sheet, shape (3,).
 
     It is the sum over springs of k L² d d d d over the area. S7's stiffness in `crossed` and `altitude` is proportional
     to D/h². On fine meshes the edge springs have to be weakened by it (docs/bending.md has the figures).
@@ -302,7 +308,7 @@ def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -
 
 
 def refuse_bending_modulus(model: str) -> None:
-    """Raise the error that `axial` and `opposite` have no bending modulus.
+    """Raise the error that the bending models `axial` and `opposite` have no bending modulus.
 
     Raises:
         ValueError: always.
@@ -317,7 +323,7 @@ def refuse_bending_modulus(model: str) -> None:
 def _opposite_springs(
     quads: np.ndarray, distance: Array, k_s: Array, has_spring: np.ndarray, damping: float, mass: Array
 ) -> OppositeSprings:
-    """Return S7 between the wings of the masked hinges; springs of one pair and rest length are merged."""
+    """Return springs S7 between the wings of masked hinges; springs of the same pair and rest length are merged."""
     wings, lengths = quads[has_spring][:, 2:], distance[has_spring]
     pairs, rows, pair_indices = np.unique(np.sort(wings, axis=1), axis=0, return_index=True, return_inverse=True)
     rest_lengths, pair_indices = lengths[rows], pair_indices.ravel()
@@ -335,7 +341,7 @@ def _opposite_springs(
 def _hinge_damping(
     damping: float, stiffness: Array, shape: HingeShape, quads: np.ndarray, mass: Array, is_altitude: bool
 ) -> Array:
-    """k_d = k_d0 sqrt(m κ̂), m twice the reduced mass 1 / Σ |g_i|²/m_i of the length's gradient g at rest."""
+    """Return k_d = k_d0 sqrt(m κ̂) [N s/m] of S8 or S9; m is twice the reduced mass 1 / Σ |∇_i h|²/m_i at rest."""
     if not damping:
         return np.zeros_like(stiffness)
     c = np.sqrt(np.maximum(0.5 * (1.0 + shape.cosine), 0.0))

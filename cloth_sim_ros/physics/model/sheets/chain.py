@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.state.state import State
 
 @attrs.frozen(kw_only=True)
 class SpringLaw:
-    """One spring of a lattice and its share of mass, in the lecture's terms.
+    """Material of a uniform chain or lattice: stiffness, damping and rest length of a spring, mass of a particle.
 
     Damping is either the dimensionless k_d0, the lecture's material property, or the viscosity eta = k_d l0. With the
     viscosity the damping of slow modes converges under refinement.
@@ -50,19 +50,19 @@ class SpringLaw:
 
     @property
     def damping(self) -> float:
-        """k_d = k_d0 sqrt(k_s m / l0), or viscosity / l0 [N s/m]."""
+        """Damping coefficient k_d = k_d0 sqrt(k_s m / l0), or viscosity / l0 [N s/m]."""
         if self.viscosity:
             return self.viscosity / self.rest_length
         return float(lecture_damping(self.k_d0, self.stiffness / self.rest_length, self.mass))
 
     @property
     def frequency(self) -> float:
-        """The lecture's lambda = sqrt(k_s / (m l0)) [rad/s]; a chain's highest mode has twice that."""
+        """Angular frequency lambda = sqrt(k_s / (m l0)) [rad/s]; a chain's highest mode has twice that."""
         return math.sqrt(self.stiffness / (self.mass * self.rest_length))
 
     @property
     def sound_speed(self) -> float:
-        """C = l0 lambda = sqrt(k_s l0 / m) [m/s]."""
+        """Speed of long longitudinal waves, l0 lambda = sqrt(k_s l0 / m) [m/s]."""
         return self.rest_length * self.frequency
 
     @property
@@ -71,7 +71,7 @@ class SpringLaw:
         return 1.0 / self.frequency
 
     def refined(self, *, factor: int = 2, dimension: int = 1) -> SpringLaw:
-        """Return the law of the lattice with `factor` times the resolution, of the same total size and mass (S3).
+        """Return the spring law of a lattice with `factor` times the resolution and the same total size and mass (S3).
 
         In one dimension m and l0 are divided by the factor; k_s stays. In a sheet (dimension 2) m is divided by the
         factor's square, and k_s by the factor: more threads share the same material. k_d0, or the viscosity as a
@@ -121,7 +121,7 @@ class Chain:
         return {"none": [], "first": [0], "last": [last], "both": [0, last]}[self.anchored]
 
     def masses(self) -> Array:
-        """Particle masses [kg], shape (particle_count,)."""
+        """Particle masses [kg], halved at the ends if `half_ends`, shape (particle_count,)."""
         masses = np.full(self.particle_count, self.law.mass)
         if self.half_ends:
             masses[[0, -1]] *= 0.5
@@ -134,7 +134,7 @@ class Chain:
         return positions
 
     def model(self, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0), further: tuple[Force, ...] = ()) -> Model:
-        """Return the model; `further` forces follow the springs and gravity [m/s^2]."""
+        """Return the chain's model; `further` forces follow the springs and gravity [m/s^2]."""
         first = np.arange(self.particle_count - 1)
         pairs = np.stack([first, first + 1], axis=1)
         law = self.law
@@ -144,7 +144,7 @@ class Chain:
         return Model(self.masses(), [*forces, *further], anchors=self.anchors)
 
     def state(self) -> State:
-        """Return the chain at rest along x."""
+        """Return the state of the chain at rest along x."""
         return State(self.positions())
 
     def refined(self, factor: int = 2) -> Chain:

@@ -52,20 +52,20 @@ class GridSheet:
         return (density * hx * hy * _border_weights(self.rows)[:, None] * _border_weights(self.columns)).ravel()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Triangles of the surface, shape (m, 3)."""
+        """Particle indices of the surface's triangles, shape (m, 3)."""
         return grid_triangles(self.rows, self.columns, self.layout)
 
     @property
     def surface(self) -> Surface:
-        """The surface of the grid's triangles."""
+        """Topology of the grid's triangles: edges, hinges, boundary."""
         return Surface.from_triangles(self.triangles(), particle_count=self.rows * self.columns)
 
     def has_edge(self, name: str) -> bool:
-        """Return True for the name of an edge or a corner."""
+        """Return true if the grid has an edge or a corner of this name."""
         return name in self._edges()
 
     def edge(self, name: str) -> NDArray[np.int64]:
-        """Return the particles of an edge (top, bottom, left, right) or a corner (top_left, ...).
+        """Return the particle indices of an edge (top, bottom, left, right) or a corner (top_left, ...).
 
         Raises:
             ValueError: for another name.
@@ -76,7 +76,7 @@ class GridSheet:
         return particles[name]
 
     def _edges(self) -> dict[str, NDArray[np.int64]]:
-        """Return the particles of each edge and corner."""
+        """Return the particle indices of each edge and corner, by its name."""
         index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
         rows = {"top": index[0], "bottom": index[-1]}
         columns = {"left": index[:, 0], "right": index[:, -1]}
@@ -89,7 +89,7 @@ class GridSheet:
     def families(
         self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0
     ) -> dict[str, list[GridFamily]]:
-        """Return springs by direction for each of `structural`, `shear` and, with bending threads, `bend`.
+        """Return the spring families of the forces `structural`, `shear` and, with bending threads, `bend`, by name.
 
         Border threads carry half of k_s. Damping is k_d = k_d0 sqrt(k m) with the mass m of a particle inside the
         sheet. Therefore it scales at the border with half the stiffness and half the mass, as the springs do. With a
@@ -134,7 +134,7 @@ class GridSheet:
         return terms
 
     def springs(self, named: dict[str, list[GridFamily]]) -> list[GridSprings]:
-        """Return the forces of `families`."""
+        """Return one force of grid springs for each name and its families."""
         return [GridSprings(self.rows, self.columns, families, name=name) for name, families in named.items()]
 
 

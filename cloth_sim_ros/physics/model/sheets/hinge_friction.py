@@ -23,7 +23,7 @@ _MIN_SLOPE_FRACTION = 0.1
 
 
 def hinge_friction(hinges: Any, shape: HingeShape, *, hinge_constants: Array, moments: Array) -> BendingFriction:
-    """Return the friction of hinges.
+    """Return the force of bending friction of hinges, from their elastic constants and largest friction moments.
 
     Args:
         hinges: particles (edge0, edge1, wing0, wing1), shape (m, 4).

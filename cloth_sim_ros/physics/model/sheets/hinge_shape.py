@@ -34,7 +34,7 @@ from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
 from cloth_sim_ros.physics.model.forces.force import Array
 
 Length = Literal["crossed", "altitude"]
-#: S8's M² has (this e²)² more than |a × b|²: parallel lines have a distance, too. The same as in engine/laws.hpp.
+#: S8's M² has (this e²)² more than |a × b|²: parallel lines have a distance, too. The same as in engine/laws/hinge.hpp.
 PARALLEL = 0.1
 
 
@@ -46,7 +46,7 @@ def _dot(a: Array, b: Array) -> Array:
 
 @attrs.frozen(eq=False, kw_only=True)
 class HingeShape:
-    """The rigid triangles of many hinges; every array has shape (m,), lengths in metres, angles in radians."""
+    """Shape of many hinges, each two rigid triangles and their fold angle; every array has shape (m,), lengths [m]."""
 
     edge: Array
     """Length e of the shared edge."""
@@ -59,13 +59,13 @@ class HingeShape:
     foot1: Array
     """Foot of wing 1 along the edge, counted from its first end."""
     cosine: Array
-    """Cosine of the fold angle: 0 is flat, positive if the wings rise to the side of the normal."""
+    """Cosine of the fold angle. The angle is 0 if flat, positive if the wings rise to the side of the normal."""
     sine: Array
     """Sine of the fold angle."""
 
     @classmethod
     def of(cls, hinges: ArrayLike, positions: ArrayLike) -> HingeShape:
-        """Measure hinges (m, 4) of particles at `positions` (n, 3).
+        """Measure the shape of hinges (m, 4) at particle positions (n, 3) [m].
 
         Raises:
             ValueError: for an edge without length or a triangle without area.
@@ -99,7 +99,7 @@ class HingeShape:
 
     @classmethod
     def of_sides(cls, edge: Array, sides: Array, folds: HingeShape) -> HingeShape:
-        """Build hinges from the lengths of their triangles' sides, with the folds of others.
+        """Build hinges from the side lengths of their triangles, with the fold angles of other hinges.
 
         Args:
             edge: length of the shared edge [m], shape (m,).
@@ -124,9 +124,7 @@ class HingeShape:
         return attrs.evolve(folds, edge=edge, foot0=foot0, foot1=foot1, height0=height0, height1=height1)
 
     def at(self, angle: ArrayLike) -> HingeShape:
-        """Return the same triangles folded by `angle` [rad], one number or shape (m,), between -π and π; NaN keeps a
-        fold.
-        """
+        """Return the same triangles folded by `angle` [rad], -π to π, one number or shape (m,); NaN keeps a fold."""
         angles = np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape)
         folds = np.nan_to_num(angles).tolist()
         sines_and_cosines = {fold: sine_and_cosine(fold) for fold in set(folds)}
@@ -141,7 +139,7 @@ class HingeShape:
         return np.sqrt(self._distance2(self.cosine))
 
     def wing_distance_slope(self) -> Array:
-        """Return dL/dθ [m]."""
+        """Return the derivative dL/dθ [m] of the wings' distance by the fold angle."""
         distance = self.wing_distance()
         torque_arm = self.height0 * self.height1 * self.sine
         return np.divide(-torque_arm, distance, out=np.zeros_like(torque_arm), where=distance > 0.0)
@@ -154,14 +152,17 @@ class HingeShape:
         return self._volume() * self.sine / area
 
     def length_slope(self, kind: Length) -> Array:
-        """Return dh/dθ [m]: e h0 h1 / M when flat."""
+        """Return the derivative dh/dθ [m] of the signed length of S8 or S9 by the fold angle.
+
+        It is e h0 h1 / M when flat.
+        """
         a, b, c = self._squared_area(kind)
         t, s = self.cosine, self.sine
         square = a + b * t + c * t * t
         return self._volume() * (t / np.sqrt(square) + s * s * (b + 2.0 * c * t) / (2.0 * square * np.sqrt(square)))
 
     def half_range_ratio(self, kind: Length) -> Array:
-        """Return (largest h / half the range of L) over all folds.
+        """Return the largest h of S8 or S9 over all folds, divided by half the range of S7's length L.
 
         Scaled by it, the closed curve of (L, h) is as wide as it is high. The energies of S7 and of S8 or S9 then have
         equal depth.
@@ -184,7 +185,7 @@ class HingeShape:
         return np.maximum(height_part + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _squared_area(self, kind: Length) -> tuple[Array, Array, Array]:
-        """Return a, b, c of the squared area M² = a + b t + c t² [m^4], with the cosine t of the fold."""
+        """Return a, b, c [m^4] of M² = a + b cos θ + c cos²θ in the length 6V/M of S8 or S9."""
         a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":

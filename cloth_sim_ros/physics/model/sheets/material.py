@@ -24,7 +24,7 @@ from cloth_sim_ros.physics.model.sheets.surface import Layout
 
 @attrs.frozen(kw_only=True)
 class Threads:
-    """Spring stiffnesses of a grid, force per strain k_s [N], for threads inside the sheet.
+    """Spring stiffnesses of a grid by direction, force per strain k_s [N], for threads inside the sheet.
 
     Border threads carry half.
     """
@@ -47,7 +47,7 @@ def grid_threads(
     layout: Layout,
     bend_stiffness: float | tuple[float, float] = 0.0,
 ) -> Threads:
-    """Return the threads of a rectangular grid that make a sheet of the given moduli.
+    """Return the spring stiffnesses of a rectangular grid that give the sheet its stretch and shear moduli.
 
     Args:
         stretch_modulus: Young's modulus of the sheet along its axes [N/m], above 0: one number, or Y_x along rows and
@@ -99,5 +99,5 @@ def grid_threads(
 
 
 def _along_axes(value: float | tuple[float, float]) -> tuple[float, float]:
-    """Return the values along rows and along columns."""
+    """Return a pair of values, along rows and along columns; a single number stands for both."""
     return value if isinstance(value, tuple) else (value, value)

@@ -38,7 +38,7 @@ MIN_SINE = 0.01
 
 @attrs.frozen(kw_only=True)
 class FabricModuli:
-    """Moduli of a fabric in its plane.
+    """Moduli of a fabric in its plane, and their growth with strain.
 
     Raises:
         ValueError: if strain energy would be negative for some strain.
@@ -74,16 +74,16 @@ class FabricModuli:
 
     @property
     def coupling_square(self) -> float:
-        """ν12 ν21; below 1."""
+        """Product ν12 ν21 of Poisson's ratios along warp and weft; below 1."""
         return self.poisson_ratio * self.poisson_ratio * (self.weft / self.warp)
 
     def stiffness(self) -> tuple[float, float, float, float]:
-        """Return C11, C12, C22 and G [N/m]."""
+        """Return the stiffness of plane stress at small strain: C11, C12, C22 and G [N/m]."""
         weft = self.weft / (1.0 - self.coupling_square)
         return self.warp / (1.0 - self.coupling_square), self.poisson_ratio * weft, weft, self.shear
 
     def growth(self) -> Array | None:
-        """Return Green's strains at which C11, C22 and G stop growing, and their growth [N/m], shape (3, 2).
+        """Return Green's strains at which C11, C22 and G stop growing, and their increase [N/m], (3, 2), or None.
 
         None if they are constant.
         """
@@ -105,7 +105,7 @@ def _green_strain(strain: float) -> float:
 
 
 def thread_coordinates(positions: ArrayLike, triangles: NDArray[np.int64], warp: ArrayLike) -> Array:
-    """Return the corners of triangles along warp and weft, from their first corner [m], shape (m, 3, 2).
+    """Return coordinates along warp and weft of triangles' corners, relative to the first corner [m], shape (m, 3, 2).
 
     The warp of a triangle is the projection of `warp` onto its plane, see `along_plane`.
 
@@ -128,7 +128,7 @@ def thread_coordinates(positions: ArrayLike, triangles: NDArray[np.int64], warp:
 
 
 def along_plane(normals: Array, warp: ArrayLike) -> tuple[Array, Array]:
-    """Return the warp in planes, and the planes' normals, as unit vectors, each (m, 3).
+    """Project the warp onto planes; return its direction in each, and the planes' normals, as unit vectors (m, 3).
 
     A plane may be perpendicular to the warp, such as at a pole of a closed surface. It takes the projection of another
     direction, with the components of the warp moved by one.
@@ -158,7 +158,7 @@ def along_plane(normals: Array, warp: ArrayLike) -> tuple[Array, Array]:
 
 
 def _projection(direction: Array, normals: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the unit vectors along a direction in planes, (m, 3), and a mask of planes perpendicular to it, (m,)."""
+    """Project a direction onto planes; return unit vectors, (m, 3), and a mask of planes perpendicular to it, (m,)."""
     rows = np.broadcast_to(direction, normals.shape)
     along = rows - dot_rows(rows, normals)[:, None] * normals
     length, full_length = np.sqrt(dot_rows(along, along)), np.sqrt(dot_rows(rows, rows))
@@ -179,7 +179,7 @@ def membrane(
     share: float = 1.0,
     grid: tuple[int, int] | None = None,
 ) -> MembraneTriangles:
-    """Return the membrane of a sheet.
+    """Return the membrane (in-plane) force of a sheet from the moduli of its fabric and its damping.
 
     Args:
         positions: rest positions [m], shape (n, 3).
@@ -225,11 +225,11 @@ def membrane(
 
 
 def dot_rows(a: Array, b: Array) -> Array:
-    """Return the scalar products of rows, shape (m,)."""
+    """Return the scalar products of corresponding rows (m, 3), shape (m,)."""
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
 def cross_rows(a: Array, b: Array) -> Array:
-    """Return the vector products of rows, shape (m, 3)."""
+    """Return the vector products of corresponding rows, shape (m, 3)."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=1)

@@ -34,7 +34,7 @@ _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dt
 
 
 def merge_limit(points: Array, *, single_precision: bool = False) -> float:
-    """Return the distance below which two vertices of a mesh are copies of one [m].
+    """Return the distance [m] below which two vertices are copies of one: 1e-7 of the mesh's extent, or rounding.
 
     Args:
         points: vertices [m], (n, 3).
@@ -58,7 +58,7 @@ def merge_limit(points: Array, *, single_precision: bool = False) -> float:
 
 
 def clusters(points: Array, limit: float) -> NDArray[np.int64]:
-    """Return the lowest vertex of each vertex's cluster, (n,).
+    """Return for each vertex the lowest vertex of its cluster of copies, or itself if the cluster is wide, (n,).
 
     Args:
         points: different finite vertices [m], (n, 3).
@@ -78,7 +78,7 @@ def clusters(points: Array, limit: float) -> NDArray[np.int64]:
 
 
 def _close_candidates(points: Array, limit: float) -> NDArray[np.int64]:
-    """Return vertices that may have another one closer than the limit, ascending: their projections are close."""
+    """Return the vertices that may have another closer than the limit, by their projections on a line; ascending."""
     x, y, z = (points - points.min(axis=0)).T
     along = x + _DIRECTION[0] * y + _DIRECTION[1] * z
     order = np.argsort(along, kind="stable")
@@ -87,7 +87,7 @@ def _close_candidates(points: Array, limit: float) -> NDArray[np.int64]:
 
 
 def _linked_lowest(points: Array, limit: float) -> NDArray[np.int64]:
-    """Return the lowest vertex that each one is linked to, directly or through others, (n,)."""
+    """Return for each vertex the lowest one that it is linked to, directly or through others, (n,)."""
     lowest = np.arange(len(points))
     # Cells of two limits, in eight grids shifted by one limit: two linked vertices share a cell in one of them.
     scaled = (points - points.min(axis=0)) / (2.0 * limit)
@@ -118,13 +118,13 @@ def _linked_lowest(points: Array, limit: float) -> NDArray[np.int64]:
 
 
 def _close_pairs(points: Array, first: NDArray[np.int64], second: NDArray[np.int64], limit: float) -> NDArray[np.int64]:
-    """Return those pairs of vertices that are closer than the limit, (p, 2)."""
+    """Return those of the pairs (first, second) of vertices that are closer than the limit, (p, 2)."""
     is_close = _squared_distances(points[first], points[second]) < limit * limit
     return np.stack((first[is_close], second[is_close]), axis=1)
 
 
 def _merge_links(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the lowest vertex that each one is linked to, from those so far, (n,), and further links, (p, 2) each."""
+    """Add links, (p, 2) each, to the clusters so far, (n,); return for each vertex the lowest of its cluster, (n,)."""
     count = len(lowest)
     label = component_labels(np.concatenate((np.stack((np.arange(count), lowest), axis=1), *links)), count)
     _, first = np.unique(label, return_index=True)
@@ -142,7 +142,7 @@ def component_labels(edges: NDArray[np.int64] | NDArray[np.int32], count: int) -
 
 
 def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return vertices that share a cell with others, cell by cell, and the position of each cell's first one.
+    """Return the vertices that share a cell (equal key), cell by cell, and for each the position of its cell's first.
 
     Cells with too many vertices are skipped.
     """
@@ -156,6 +156,6 @@ def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _squared_distances(firsts: Array, seconds: Array) -> Array:
-    """Return the squared distances between vertices (n, 3) and others [m^2], (n,)."""
+    """Return the squared distances between corresponding vertices, (n, 3) each [m^2], (n,)."""
     offset = firsts - seconds
     return dot_products(offset, offset)

@@ -20,7 +20,7 @@ SHEAR_OVER_STRETCH = 3.0 / 8.0
 
 @attrs.frozen(eq=False, kw_only=True)
 class MeshSheet:
-    """Rest shape and topology of a mesh."""
+    """Rest shape and topology of a sheet that is a triangle mesh."""
 
     #: Rest positions [m], shape (particle_count, 3), every particle in at least one triangle.
     rest_positions: Array
@@ -34,7 +34,7 @@ class MeshSheet:
         return self.rest_positions.copy()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Triangles of the surface, shape (m, 3)."""
+        """Particle indices of the surface's triangles, shape (m, 3)."""
         return self.surface.triangles
 
     def areas(self) -> Array:

@@ -47,7 +47,7 @@ _MAX_FAN_TRIALS, _FAN_TRIAL_COST = 3_000_000, 64
 
 @attrs.frozen(eq=False, kw_only=True)
 class CheckedMesh:
-    """A mesh that is the surface of one cloth."""
+    """Checked mesh of one cloth: vertex positions, surface, and sentences on repairs."""
 
     positions: Array
     """Vertex positions [m], in the order given, (n, 3)."""
@@ -115,7 +115,7 @@ def _checked_surface(
     *,
     is_unmerged: bool,
 ) -> CheckedMesh:
-    """Return the mesh of triangles whose corners are at different positions.
+    """Clean, orient and check triangles after copies of vertices were merged; return the cloth's mesh.
 
     Args:
         points: vertices [m], (n, 3).
@@ -165,9 +165,7 @@ def _checked_surface(
 def _merge_vertices(
     points: Array, faces: NDArray[np.int64], limit: float, notes: list[str]
 ) -> tuple[NDArray[np.int64], int]:
-    """Merge vertices closer than a limit into the lowest of them; return the triangles and the number of merged
-    vertices.
-    """
+    """Merge vertices closer than a limit into the lowest; return triangles and number of merged vertices."""
     used = np.unique(faces)
     lowest = used[clusters(points[used], limit)]
     moved_rows = np.flatnonzero(lowest != used)
@@ -199,7 +197,7 @@ def _merge_vertices(
 
 
 def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
-    """Cut polygons into triangles, (m, 3), in the order given.
+    """Cut polygons into triangles; return their vertex indices, (m, 3), in the order of the polygons.
 
     Each polygon is cut into a fan. The fan starts at the first corner for which no triangle lies outside the polygon,
     measured against the polygon's area vector (Newell). Therefore a concave face is cut along an inner diagonal.
@@ -241,7 +239,7 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
 
 
 def _fan_corner(corners: Array, max_trials: int) -> tuple[int | None, int]:
-    """Return a polygon's first corner from which a fan has no triangle outside, and the number of failed corners.
+    """Return a polygon's first corner whose fan of triangles lies inside, and the number of corners that failed.
 
     The corner is None if there is none, or if more corners failed than allowed.
 
@@ -313,7 +311,7 @@ def _validated_arrays(positions: ArrayLike, triangles: ArrayLike) -> tuple[Array
 
 
 def _first_copies(points: Array, faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
-    """Return the first used vertex at the position of each one, (n,), and the number of used repeats."""
+    """Return for each vertex the first one at the same position, (n,), and the number of copies in triangles."""
     used = np.unique(faces)
     # 0.0 and -0.0 are one position
     _, first, group = np.unique(points[used] + 0.0, axis=0, return_index=True, return_inverse=True)
@@ -330,7 +328,7 @@ def _remove_repeats(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.
 
 
 def _remove_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
-    """Remove triangles of fewer than three vertices; refuse thin ones, whose removal would open the surface."""
+    """Remove triangles with a repeated vertex; raise an error for thin ones, whose removal would open the surface."""
     is_collapsed = _has_repeated_vertex(faces)
     if np.any(is_collapsed):
         repairs.append(f"{pluralize(int(is_collapsed.sum()), 'triangle')} with a repeated vertex left out")
@@ -368,7 +366,7 @@ def _check_edges(faces: NDArray[np.int64], points: Array) -> None:
 
 
 def _wind_alike(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
-    """Turn triangles so that neighbours agree; in every piece the larger part stays as given."""
+    """Reverse triangles until neighbours have the same orientation; in every piece the majority stays as given."""
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     order = np.lexsort((high, low))

@@ -23,7 +23,7 @@ _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "
 
 @attrs.frozen(eq=False, kw_only=True, slots=False)
 class RawSprings:
-    """A system of springs in the lecture's terms."""
+    """Cloth as plain arrays: masses, positions, springs with k_s and k_d, and triangles of its surface, if any."""
 
     #: Starting positions [m], shape (particle_count, 3).
     start: Array
@@ -36,7 +36,7 @@ class RawSprings:
 
     @classmethod
     def from_tables(cls, tables: dict[str, Any]) -> RawSprings:
-        """Build the system from the named tables of a springs file.
+        """Build the springs and particles from the named tables of a springs file.
 
         Args:
             tables: the tables:
@@ -103,11 +103,11 @@ class RawSprings:
         return self.mass.copy()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Return the triangles of the surface, shape (m, 3); empty if there is none."""
+        """Return the particle indices of the surface's triangles, shape (m, 3); empty if there is none."""
         return self.surface_triangles
 
     def edge_lengths(self) -> Array:
-        """Return the lengths of each triangle's edges [m], shape (m, 3).
+        """Return the lengths of triangles' edges [m], (m, 3): of a spring at rest, or else of the start.
 
         An edge with a spring has its rest length, because the start may be stretched; other edges have their distance
         at the start.
@@ -117,7 +117,7 @@ class RawSprings:
 
     @cached_property
     def surface(self) -> Surface:
-        """The surface of the triangles.
+        """Topology of the triangles: edges, hinges, boundary.
 
         Raises:
             ValueError: for triangles that are no oriented surface.
@@ -128,8 +128,7 @@ class RawSprings:
             raise ValueError(f"table 'triangles': {error}") from error
 
     def hinge_shape(self, hinges: NDArray[np.int64]) -> HingeShape:
-        """Return hinges (m, 4) at rest: their triangles have the edges of `edge_lengths`, their folds are those of the
-        start.
+        """Return the rest shape of hinges (m, 4): sides as in `edge_lengths`, fold angles of the start.
 
         Raises:
             ValueError: for edges that make no triangle.

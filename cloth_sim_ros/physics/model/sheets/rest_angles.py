@@ -19,7 +19,7 @@ _KEYS = ("edges", "angles")
 
 @attrs.frozen(eq=False, kw_only=True)
 class RestAngles:
-    """Folds at rest of the hinges on some edges."""
+    """Rest fold angles of single hinges, each named by its edge."""
 
     #: The two particles of each edge, in any order, shape (m, 2).
     edges: NDArray[np.int64]
@@ -28,7 +28,7 @@ class RestAngles:
 
     @classmethod
     def from_tables(cls, tables: dict[str, Any]) -> RestAngles:
-        """Read the tables `edges` (m, 2) and `angles` [rad], one number or m.
+        """Read rest angles from the tables `edges` (m, 2) and `angles` [rad], one number or m.
 
         Raises:
             ValueError: naming the table and the fault.

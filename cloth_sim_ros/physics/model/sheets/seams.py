@@ -29,7 +29,7 @@ _QUERY_MARGIN = 1.0 + 1e-9
 
 @attrs.frozen(kw_only=True)
 class OpenSeam:
-    """Positions of a mesh's border that nearly coincide and are not joined."""
+    """Summary of border vertices of a mesh that nearly touch another part of the border and are not joined to it."""
 
     count: int
     """Number of border vertices that lie near another part of the border."""
@@ -39,7 +39,7 @@ class OpenSeam:
     """Distance of that vertex from the other part of the border [m]."""
 
     def describe(self, points: Array) -> str:
-        """Return a sentence for a log; points: vertices [m], (n, 3)."""
+        """Return a log sentence on the open seam; points: vertices of the mesh [m], (n, 3)."""
         position = ", ".join(f"{value:.6g}" for value in points[self.vertex])
         single = self.count == 1
         return (
@@ -51,7 +51,7 @@ class OpenSeam:
 
 
 def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the edges with a single triangle, directed as it runs, (b, 2), of triangles (m, 3)."""
+    """Return the border edges of triangles (m, 3), those of a single triangle, in its direction, (b, 2)."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     keys = edges.min(axis=1) * (int(triangles.max()) + 1) + edges.max(axis=1)
     _, first, uses = np.unique(keys, return_index=True, return_counts=True)
@@ -59,7 +59,7 @@ def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> OpenSeam | None:
-    """Summarize border vertices that nearly touch but are not joined; None if there are none.
+    """Summarize a mesh's border vertices that nearly touch but are not joined; None if there are none.
 
     Args:
         points: vertices [m], (n, 3).
@@ -106,7 +106,7 @@ def _edge_distances(
     tree: object,
     lengths: Array,
 ) -> Array:
-    """Return distances of border vertices from the middle part of near border edges of other triangles [m]."""
+    """Return each border vertex's distance [m] from near border edges of other triangles; infinite without any."""
     distances = np.full(len(vertices), np.inf)
     edges, vertex_rows = near_edges(points, border, tree, lengths)
     begin, along = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
@@ -126,7 +126,7 @@ def _edge_distances(
 def near_edges(
     points: Array, border: NDArray[np.int64], tree: object, lengths: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return pairs of a border edge and a border vertex inside the sphere around the edge's middle.
+    """Return pairs of a border edge and a border vertex in the sphere with that diameter; none if there are too many.
 
     Args:
         points: vertices [m], (n, 3).
@@ -154,14 +154,14 @@ def near_edges(
 
 
 def _are_joined(triangles: NDArray[np.int64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether an edge joins each of some vertices (p,) with another (p,)."""
+    """Return a mask of pairs (first, second) of vertices that an edge of a triangle joins, (p,)."""
     count = int(triangles.max()) + 1
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     return np.isin(np.minimum(first, second) * count + np.maximum(first, second), edges[:, 0] * count + edges[:, 1])
 
 
 def _opposite_corners(triangles: NDArray[np.int64], border: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the third corner of the triangle at each directed border edge, (b,)."""
+    """Return the third vertex of the triangle at each directed border edge, (b,)."""
     count = int(triangles.max()) + 1
     tails, heads, thirds = (np.concatenate([triangles[:, (k + at) % 3] for k in range(3)]) for at in range(3))
     keys = tails * count + heads

@@ -31,7 +31,7 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 @attrs.frozen(eq=False)
 class ShapeOperator:
-    """Curvatures of the triangles of a mesh as linear functions of its particles.
+    """Curvatures of the triangles of a mesh as linear functions of particle positions.
 
     The curvature of a triangle is (κ11, κ22, 2 κ12) = Σ weights x over its particles, one for each coordinate of x.
     """
@@ -45,7 +45,7 @@ class ShapeOperator:
 
     @classmethod
     def of(cls, triangles: NDArray[np.int64], positions: ArrayLike, *, warp: ArrayLike) -> ShapeOperator:
-        """Measure the triangles of a surface (m, 3) at rest at `positions` (n, 3) [m].
+        """Build the shape operator of triangles (m, 3) from the rest positions of their particles (n, 3) [m].
 
         A curved surface counts as unfolded about each edge: its rest is flat.
 
@@ -64,7 +64,7 @@ class ShapeOperator:
         return cls(*_curvature_weights(faces, patch, opposite), patch.areas)
 
     def couplings(self, moduli: tuple[float, float, float], *, damping: float, masses: Array) -> Couplings:
-        """Return the bending energy ½ κ'D κ per area of a diagonal D, as couplings of particles.
+        """Return the bending force of the energy ½ κ'D κ per area, with a diagonal D, as couplings between particles.
 
         Args:
             moduli: D11, D22 and D66 [N m]: moments per curvature along warp and weft, and half a twisting moment.
@@ -94,7 +94,7 @@ class ShapeOperator:
         )
 
     def _damping_time(self, moduli: tuple[float, float, float], damping: float, masses: Array) -> float:
-        """Return k_d0 sqrt(2) / w for the highest frequency w of a single triangle; 0 without damping."""
+        """Return the damping time k_d0 sqrt(2) / w [s], w the highest frequency of a single triangle; 0 if undamped."""
         if not damping or not max(moduli) > 0.0:
             return 0.0
         inverse = np.where(self.particles >= 0, 1.0 / masses[self.particles], 0.0)
@@ -106,7 +106,7 @@ class ShapeOperator:
 
 
 def _opposite_half_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for edge k of each triangle, from corner k on, the half-edge 3 t + k beyond it; -1 at a border, (m, 3)."""
+    """Return for each triangle's edges the neighbour's half-edge, 3 times triangle + edge; -1 at a border, (m, 3)."""
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     key = np.minimum(tail, head) * (faces.max(initial=0) + 1) + np.maximum(tail, head)
     order = np.argsort(key, kind="stable")
@@ -144,7 +144,7 @@ class _Patches:
         self.weights = self._curvatures(self._unfolded(faces, x, flap), has_neighbour)
 
     def _unfolded(self, faces: NDArray[np.int64], x: Array, flap: NDArray[np.int64]) -> Array:
-        """Return the corners of neighbours in the plane, (m, 3, 2)."""
+        """Return the far corners of each triangle's three neighbours, unfolded into its plane [m], (m, 3, 2)."""
         places = np.empty_like(self.corners)
         for k in range(3):
             edge = x[faces[:, (k + 1) % 3]] - x[faces[:, k]]
@@ -158,7 +158,7 @@ class _Patches:
         return places
 
     def _curvatures(self, flaps: Array, has_neighbour: NDArray[np.bool_]) -> Array:
-        """Return the weights of the curvature of the quadratic function of each patch.
+        """Return the weights [1/m²] of a patch's corners in the curvature of its quadratic function, (m, 3, 6).
 
         If a neighbour is missing, the function has the least square of curvatures.
         """
@@ -190,14 +190,14 @@ class _Patches:
         return weights
 
     def _interpolation(self, places: Array) -> Array:
-        """Return the weights of the corners in linear functions at places (m, 2), shape (m, 3)."""
+        """Return the barycentric coordinates of points (m, 2) in their triangles, shape (m, 3)."""
         u, v = (places - self.corners[:, 0]).T
         shares = self.gradients[..., 0] * u[:, None] + self.gradients[..., 1] * v[:, None]
         shares[:, 0] += 1.0
         return shares
 
     def slopes(self) -> Array:
-        """Return the weights of a patch's corners in the slopes outwards at the midpoints of edges, (m, 3, 6)."""
+        """Return the weights [1/m] of a patch's corners in the outward slopes at the edges' midpoints, (m, 3, 6)."""
         slopes = np.zeros((len(self.areas), 3, 6))
         squares = _monomials(self.corners)
         middles = 0.5 * (self.corners + np.roll(self.corners, -1, axis=1))
@@ -215,7 +215,7 @@ class _Patches:
 
 
 def _third_corner(half_edges: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the index of the corner opposite a half-edge among all corners; any index for -1."""
+    """Return the index, 3 times triangle + corner, of the corner opposite a half-edge; any index for -1."""
     triangle, edge = np.divmod(np.maximum(half_edges, 0), 3)
     return 3 * triangle + (edge + 2) % 3
 
@@ -227,7 +227,7 @@ def _monomials(places: Array) -> Array:
 
 
 def _independent(gram: Array, has_neighbour: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the neighbours whose functions are independent, (m, 3): all, or the best pair, or one."""
+    """Return a mask of neighbours that determine a curvature independently, (m, 3): all, the best pair, or one."""
     size = np.sqrt(np.where(has_neighbour, np.stack([gram[:, i, i] for i in range(3)], axis=1), 1.0))
     cosines = {(i, j): gram[:, i, j] / (size[:, i] * size[:, j]) for i, j in _PAIRS}
     a, b, c = (cosines[pair] for pair in _PAIRS)
@@ -245,7 +245,7 @@ def _independent(gram: Array, has_neighbour: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def _masked_inverse(gram: Array, used: NDArray[np.bool_]) -> Array:
-    """Return the inverse of the used rows and columns of symmetric matrices (m, 3, 3), 0 elsewhere."""
+    """Invert the masked rows and columns of symmetric matrices (m, 3, 3); the other entries are 0."""
     mask = used[:, :, None] & used[:, None, :]
     g = np.where(mask, gram, np.where(np.eye(3, dtype=np.bool_), 1.0, 0.0))
     cofactors = np.empty_like(g)
@@ -261,7 +261,7 @@ def _masked_inverse(gram: Array, used: NDArray[np.bool_]) -> Array:
 def _curvature_weights(
     faces: NDArray[np.int64], patch: _Patches, opposite: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return particles (m, 12) and weights (m, 3, 12) of the curvatures of triangles."""
+    """Return the particles (m, 12) on which triangles' curvatures depend, and their weights [1/m²], (m, 3, 12)."""
     slopes = patch.slopes()
     count = len(faces)
     particles, weights = [faces], [np.zeros((count, 3, 3))]
@@ -283,7 +283,7 @@ def _curvature_weights(
 
 
 def _merged(particles: NDArray[np.int64], weights: Array) -> tuple[NDArray[np.int64], Array]:
-    """Add the weights of equal particles in each row; particles ascend, -1 after the last."""
+    """Merge equal particles in each row by adding their weights; particles ascend, -1 after the last."""
     order = np.argsort(particles, axis=1, kind="stable")
     ascending = np.take_along_axis(particles, order, axis=1)
     is_new = np.diff(ascending, axis=1, prepend=-1) > 0

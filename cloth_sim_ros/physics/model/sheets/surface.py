@@ -35,7 +35,7 @@ ShortIndexArray = NDArray[np.int32]
 
 
 class SurfaceError(ValueError):
-    """A set of triangles that is no oriented manifold surface; the message names the position."""
+    """Error for triangles that are no oriented manifold surface; the message names the position."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -58,7 +58,7 @@ class Surface:
 
     @classmethod
     def from_triangles(cls, triangles: ArrayLike, *, particle_count: int | None = None) -> Surface:
-        """Find edges, hinges and boundary of triangles.
+        """Build a surface from triangles: find edges and boundary, and check that it is an oriented manifold.
 
         Args:
             triangles: particles of each triangle, (m, 3).
@@ -108,13 +108,14 @@ class Surface:
 
     @property
     def hinge_edges(self) -> IndexArray:
-        """Index into `edges` of each hinge, (h,)."""
+        """Indices into `edges` of the interior edges, one for each hinge, (h,)."""
         return np.flatnonzero(self.edge_triangles[:, 1] >= 0)
 
     @property
     def hinges(self) -> IndexArray:
-        """`(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4); a new array on each
-        access.
+        """Particles `(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4).
+
+        A new array on each access.
         """
         inner = self.hinge_edges
         low, high = self.edges[inner].T[:, :, None]
@@ -149,7 +150,7 @@ class Surface:
         return component_labels(self.edge_triangles[self.hinge_edges], len(self.triangles))
 
     def _check_fans(self) -> None:
-        """Refuse particles at which two fans of triangles touch without sharing an edge."""
+        """Raise an error if two fans of triangles touch at a particle without sharing an edge."""
         is_split = self._split_particles()
         if np.any(is_split):
             raise SurfaceError(
@@ -174,7 +175,7 @@ class Surface:
 
 
 def opposite_pairs(hinges: ArrayLike, existing: ArrayLike | None = None) -> IndexArray:
-    """Return the pairs of opposite vertices that S7 connects, (p, 2), in the order of the hinges.
+    """Return the pairs of opposite vertices that S7 connects, existing springs left out, in the hinges' order, (p, 2).
 
     Across a cell of layout `both` the opposite vertices are the other diagonal. Pairs of existing springs are left out;
     therefore no spring is counted twice.
@@ -198,7 +199,7 @@ def needs_opposite_spring(hinges: ArrayLike, existing: ArrayLike | None = None) 
 
 
 def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
-    """Return the triangles of a grid of rows x columns particles, (2 (rows-1) (columns-1), 3).
+    """Return the triangles of a grid of particles, two a cell, cut as its layout says, (2 (rows-1) (columns-1), 3).
 
     Particle indices are `row * columns + column`. The layout selects the diagonal that cuts cell (r, c), r and c
     counted from 0.
@@ -225,9 +226,9 @@ def grid_cells(rows: int, columns: int) -> IndexArray:
 
 
 def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
-    """Return the shear springs of a grid, in the order of cells, (d, 2): one diagonal a cell.
+    """Return the particle pairs of a grid's diagonal shear springs, (d, 2): one a cell, or two for layout `both`.
 
-    For layout `both` there are two (left, then right).
+    They are in the order of cells, and of two the left one comes first.
     """
     p00, p01, p10, p11, left = _cells(rows, columns, layout)
     if layout == "both":
@@ -236,7 +237,7 @@ def grid_diagonals(rows: int, columns: int, layout: Layout) -> IndexArray:
 
 
 def grid_hinges(rows: int, columns: int) -> IndexArray:
-    """Return the hinges of a grid's bending stiffness, for every shear layout: those of both checkerboards, (m, 4).
+    """Return the hinges that carry a grid's bending stiffness in every shear layout: of both checkerboards, (m, 4).
 
     One checkerboard has two kinds of particle, with four and with eight edges. In bending they move against each other,
     and the sheet has a Poisson's ratio of -1/3. A grid cut along one family of diagonals twists. The two checkerboards
@@ -246,7 +247,7 @@ def grid_hinges(rows: int, columns: int) -> IndexArray:
 
 
 def checkerboards(rows: int, columns: int) -> tuple[IndexArray, IndexArray]:
-    """Return the triangles of both checkerboards of a grid, `alternating` and the one with every other diagonal."""
+    """Return the triangles of a grid cut by alternating diagonals, and of the cut by the opposite diagonals."""
     left, right = grid_triangles(rows, columns, "left"), grid_triangles(rows, columns, "right")
     cells = np.arange(len(left)) // 2
     odd = (cells // (columns - 1) + cells % (columns - 1)) % 2 == 1
@@ -254,7 +255,7 @@ def checkerboards(rows: int, columns: int) -> tuple[IndexArray, IndexArray]:
 
 
 def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
-    """Return the corners p(row)(column) of every cell, and whether the left diagonal cuts it, each (cells,)."""
+    """Return the four corners of every cell, and a mask of cells that the left diagonal cuts, (cells,) each."""
     if rows < 2 or columns < 2:
         raise ValueError(f"a grid surface needs at least 2 x 2 particles, not {rows} x {columns}")
     if layout not in LAYOUTS:
@@ -267,7 +268,7 @@ def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
 
 
 def _checked_triangles(triangles: ArrayLike, particle_count: int | None) -> IndexArray:
-    """Return `triangles` as an (m, 3) array of whole numbers in range that differ within each triangle."""
+    """Check the indices of triangles and return them as an (m, 3) int64 array."""
     index_array = np.asarray(triangles)
     if index_array.size == 0:
         index_array = np.zeros((0, 3), dtype=np.int64)

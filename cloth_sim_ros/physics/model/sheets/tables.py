@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def checked_table(name: str, value: Any, dtype: type, columns: int) -> Any:
-    """Return a table as an array (rows, columns) of finite numbers of a type.
+    """Check a table and return it as an array (rows, columns) of finite numbers of a type.
 
     Raises:
         ValueError: naming the table and the fault.
@@ -43,7 +43,7 @@ def _real_array(name: str, value: Any) -> Array:
 
 
 def per_row(name: str, value: Any, count: int) -> Array:
-    """Return a table of one number a row, (count,); one number stands for all rows.
+    """Check a table of one number a row and return it, (count,); a single number stands for all rows.
 
     Raises:
         ValueError: naming the table and the fault.

@@ -34,7 +34,7 @@ MAX_DEVIATION = 0.2
 def thread_factors(
     hinges: ArrayLike, positions: ArrayLike, constants: Array, *, moduli: tuple[float, float], warp: ArrayLike
 ) -> Array:
-    """Return the factors on isotropic hinge constants that make a sheet of two bending moduli, shape (m,).
+    """Return the factors on isotropic hinge constants that give a mesh its bending moduli along warp and weft, (m,).
 
     Args:
         hinges: hinges of the mesh, shape (m, 4).
@@ -71,7 +71,7 @@ def thread_factors(
 
 
 def _fold_directions(quads: NDArray[np.int64], x: Array, warp: ArrayLike) -> tuple[Array, Array]:
-    """Return the components along warp and weft of the direction across each hinge's edge, each (m,)."""
+    """Return the components along warp and weft of the unit vector across each hinge's edge, (m,) each."""
     first, second, wing0, wing1 = (x[quads[:, i]] for i in range(4))
     edge = second - first
     normal = cross_rows(edge, wing0 - first) - cross_rows(edge, wing1 - first)
@@ -82,7 +82,7 @@ def _fold_directions(quads: NDArray[np.int64], x: Array, warp: ArrayLike) -> tup
 
 
 def _folds(shape: HingeShape, cosine: Array, sine: Array) -> list[Array]:
-    """Return the fold of each hinge per curvature κ11, κ22 and 2 κ12 [m], three arrays (m,)."""
+    """Return the fold angle of each hinge per curvature κ11, κ22 and 2 κ12 of the sheet [m], three arrays (m,)."""
     across = 0.5 * (shape.height0 + shape.height1)
     along = 0.5 * (
         shape.foot0 * (shape.foot0 - shape.edge) / shape.height0
@@ -98,13 +98,13 @@ def _folds(shape: HingeShape, cosine: Array, sine: Array) -> list[Array]:
 
 
 def _tensor(folds: list[Array], constants: Array) -> list[float]:
-    """Return the entries 11, 12, 13, 22, 23, 33 of Σ k F F'."""
+    """Return the entries 11, 12, 13, 22, 23, 33 of the sheet's bending stiffness Σ k F F', F the folds of hinges."""
     pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     return [fixed_sum(np.ascontiguousarray(constants * folds[i] * folds[j])) for i, j in pairs]
 
 
 def _strip_compliances(tensor: list[float]) -> tuple[float, float]:
-    """Return the entries 11 and 22 of the inverse."""
+    """Return the entries 11 and 22 of the inverse of a symmetric 3x3 matrix, given by its six entries."""
     c11, c12, c13, c22, c23, c33 = tensor
     determinant = c11 * (c22 * c33 - c23 * c23) - c12 * (c12 * c33 - c13 * c23) + c13 * (c12 * c23 - c13 * c22)
     if not determinant > 0.0:
