@@ -29,7 +29,7 @@ _REPORTED_CHANGE = 0.2
 
 @attrs.frozen(kw_only=True)
 class PerformanceEstimate:
-    """Expected cost of one frame."""
+    """Expected number of steps, wall time [s] and real-time factor of one frame."""
 
     #: Smallest number of steps.
     steps: int
@@ -40,7 +40,7 @@ class PerformanceEstimate:
 
 
 def estimate_performance(*, period: float, step: float, particles: int, cost: float) -> PerformanceEstimate:
-    """Return the cost of a frame at best; accuracy may require smaller steps.
+    """Return the expected cost of a frame with the longest step; accuracy may require smaller steps.
 
     Args:
         period: simulated time of a frame [s].
@@ -114,7 +114,7 @@ class PerformanceEstimator:
             self._cost_ratio = cost / self._cost
 
     def report(self) -> None:
-        """Log the present estimate if it differs from the last one logged."""
+        """Log the estimate if it changed by over 20 % or crossed real time; below that, as a warning with a remedy."""
         self.latest = self._estimate()
         if self.latest is None:
             return
@@ -142,7 +142,7 @@ class PerformanceEstimator:
             self._logger.warning(f"{text}. Real time is not held{when}: {self._remedy(factor)}")
 
     def describe(self) -> dict[str, str]:
-        """Return the newest estimate, for diagnostics."""
+        """Return the newest expected real-time factor as a diagnostics entry."""
         return {"real_time_factor_expected": "unknown" if self.latest is None else f"{self.latest.factor:.4g}"}
 
     def _estimate(self) -> PerformanceEstimate | None:

@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class KeypointTopic:
-    """Poses of the keypoints of a cloth, in the order of `keypoints`.
+    """Publishes the poses of the cloth's keypoints on ~/keypoints, in the order of the parameter `keypoints`.
 
     Args:
         node: the node.
@@ -50,7 +50,7 @@ class KeypointTopic:
 
 
 class CoverageTopic:
-    """Area of a plane that a cloth covers.
+    """Publishes the area of a plane that the cloth covers on ~/coverage.
 
     Args:
         node: the node.
@@ -63,7 +63,7 @@ class CoverageTopic:
         self.output = Output(node, Float64, "~/coverage", sink, qos=NEWEST_QOS)
 
     def send(self, _stamp: int) -> None:
-        """Publish the area [m^2], if the topic has subscribers."""
+        """Publish the covered area [m^2], if the topic has subscribers."""
         if self.output.has_subscribers:
             area = self.coverage.area(self._simulation.state.x, self._pose())
             self.output.publish(bytes(serialize_message(Float64(data=area))))
@@ -79,7 +79,7 @@ class CoverageTopic:
 
 
 def ground_truth_topics(node: Node, simulation: Simulation, sink: RecordSink) -> list[KeypointTopic | CoverageTopic]:
-    """Return the topics that the scene asks for."""
+    """Create ~/keypoints and ~/coverage, each if the scene asks for it."""
     topics: list[KeypointTopic | CoverageTopic] = []
     if any(simulation.scene.keypoints):
         topics.append(KeypointTopic(node, simulation, sink))

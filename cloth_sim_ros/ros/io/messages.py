@@ -27,7 +27,7 @@ CDR = b"\x00\x01\x00\x00"
 
 
 class CloudMessage:
-    """A sensor_msgs/PointCloud2 of which only stamp and points change; the rest is serialized once.
+    """Serializes sensor_msgs/PointCloud2 messages; all but stamp and points is serialized once.
 
     Args:
         frame_id: coordinate frame.
@@ -65,7 +65,7 @@ class CloudMessage:
 
 
 def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
-    """Return the CDR bytes of a shape_msgs/Mesh.
+    """Return the CDR bytes of a shape_msgs/Mesh from the cloth's triangles and rest positions.
 
     Args:
         triangles: particles of each triangle, shape (m, 3).
@@ -77,7 +77,7 @@ def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
 
 
 class SurfaceMarker:
-    """A visualization_msgs/Marker TRIANGLE_LIST of the surface, for RViz.
+    """Serializes the cloth's surface as a visualization_msgs/Marker TRIANGLE_LIST, for RViz.
 
     Args:
         frame_id: coordinate frame.
@@ -114,7 +114,7 @@ class SurfaceMarker:
 
 
 def wrench_message(wrench: ArrayLike, *, frame_id: str, stamp: int) -> bytes:
-    """Return the CDR bytes of a geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
+    """Return the CDR bytes of a geometry_msgs/WrenchStamped from force [N] and torque [N m], shape (6,)."""
     fx, fy, fz, tx, ty, tz = np.asarray(wrench, dtype=np.float64).tolist()
     message = WrenchStamped()
     message.header.frame_id = frame_id
@@ -135,5 +135,5 @@ def read_stamp(stamp: object) -> int:
 
 
 def aligned(data: bytes, size: int) -> bytes:
-    """Pad with zeros to a multiple of a size [bytes]."""
+    """Return bytes padded with zeros to a multiple of a size [bytes], as CDR aligns fields."""
     return data + bytes(-len(data) % size)

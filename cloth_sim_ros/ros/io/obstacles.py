@@ -31,7 +31,7 @@ _STOP_REPEAT_TIME = 1.0
 
 
 class ObstacleTopics:
-    """Topics of a cloth's obstacles.
+    """Publishes markers and wrenches of obstacles, subscribes to their targets, and warns of stops and lags.
 
     Args:
         node: the node.
@@ -64,7 +64,7 @@ class ObstacleTopics:
             self._output.record(self._published, stamp)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Publish and record the markers and wrenches after a frame, at a ROS time [ns]."""
+        """Publish and record wrenches and moved markers after a frame at a ROS time [ns]; warn of stops and lags."""
         self._update_stopped(frame)
         self._warn_of_stops(frame)
         obstacles = self._simulation.obstacles
@@ -99,7 +99,7 @@ class ObstacleTopics:
             self._log.info("contact recovery", f"a gripper opened while it pressed the cloth {text}")
 
     def describe(self) -> dict[str, str]:
-        """Return the diagnostics entries of contact; empty without contact."""
+        """Return diagnostics entries: number of contacts, smallest gaps [m], stopped bodies; empty without contact."""
         gaps, contact, entries = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
         if gaps is not None and len(gaps):
             entries = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}

@@ -40,7 +40,7 @@ _MESSAGE_PERIOD, _POLL_PERIOD = 5.0, 0.1
 
 
 class RobotStart:
-    """Waits for a robot, and makes its links obstacles of a scene.
+    """Waits at the node's start for a robot's description and poses, and adds its links to a scene as obstacles.
 
     Args:
         node: the node, which is in no executor yet.
@@ -57,7 +57,7 @@ class RobotStart:
         self._description = self._ignored = ""
 
     def extend(self, values: Mapping[str, Any], files: Mapping[str, bytes]) -> tuple[dict[str, Any], dict[str, bytes]]:
-        """Return a scene's parameters with the links at their present poses, and the contents of the scene's files.
+        """Wait for the robot; return a scene's parameters with its links as obstacles, and the contents of files.
 
         Raises:
             ParameterError: for an invalid scene or description, naming the remedy.
@@ -224,7 +224,7 @@ def _check_tf(settings: RobotParameters) -> None:
 
 
 def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, settings: RobotParameters) -> Array:
-    """Return the poses of the links' obstacles in the cloth's frame, shape (count, 7).
+    """Return the poses of the links' obstacles in the cloth's frame, by TF or joint positions, shape (count, 7).
 
     Raises:
         FrameError: if TF lacks a frame.

@@ -19,7 +19,7 @@ TOPIC = "ft_sensor_wrench"
 
 
 class SensorWrenches:
-    """Publishes ~/<gripper>/ft_sensor_wrench to subscribers.
+    """Publishes each gripper's wrench as a force-torque sensor would, on ~/<gripper>/ft_sensor_wrench.
 
     The topic is not recorded, because it follows from ~/<gripper>/wrench and the pose.
 
@@ -46,7 +46,7 @@ class SensorWrenches:
 
 
 def sensor_wrench(wrench: Array, pose: Array, position: tuple[float, ...], orientation: tuple[float, ...]) -> Array:
-    """Return a wrench about a gripper's origin, in the cloth's frame, as a sensor on the gripper reports it.
+    """Transform a wrench from a gripper's origin and the cloth's axes to a sensor's origin and axes, shape (6,).
 
     Args:
         wrench: force [N] and torque [N m], shape (6,).

@@ -19,10 +19,12 @@ class StopRequestedError(Exception):
 
 
 class StopSignals:
-    """Records the first stop signal. `ros2 launch` sends SIGINT twice on Ctrl-C; the second one changes nothing.
+    """Handlers of SIGINT, SIGTERM and SIGHUP that only record the signal; loops and waits poll `requested`.
+
+    `ros2 launch` sends SIGINT twice on Ctrl-C; the second one changes nothing.
 
     rclpy's handlers would shut the context down at once, with a recording still open and frames still to publish.
-    Python's handlers would raise anywhere. These handlers raise nothing; loops and waits poll `requested`.
+    Python's handlers would raise anywhere. These handlers raise nothing.
     """
 
     def __init__(self) -> None:
@@ -40,7 +42,7 @@ class StopSignals:
             signal.signal(signum, signal.SIG_IGN)
 
     def name(self) -> str:
-        """Return the name of the signal that has come; empty if none has."""
+        """Return the name of the signal that was received, e.g. SIGINT; empty if none was."""
         return "" if self.requested is None else self.requested.name
 
     @contextmanager
@@ -56,7 +58,7 @@ class StopSignals:
             self._exits_at_once = False
 
     def report_early_stop(self) -> None:
-        """Print one line: a signal came before the node ran."""
+        """Print that a signal stopped the node while it was starting."""
         name = self.requested.name if self.requested else "a signal"
         print(f"cloth_sim: {name}: stopped while starting", file=sys.stderr, flush=True)
 

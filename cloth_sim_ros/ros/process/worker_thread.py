@@ -24,7 +24,7 @@ _SIGNAL_POLL_PERIOD = 0.1
 
 
 def run_inline(job: Callable[[], T]) -> T:
-    """Run a job in the calling thread, for nodes whose process no signal stops."""
+    """Run a job in the calling thread and return its result; for nodes whose process handles no stop signals."""
     return job()
 
 
@@ -78,7 +78,7 @@ class WorkerThread:
         return self._running
 
     def run(self, job: Callable[[], T]) -> T:
-        """Run a job and return what it returns, or raise what it raises.
+        """Run a job in the worker thread and wait for it; return what it returns, or raise what it raises.
 
         Raises:
             StopRequestedError: if a signal came before the job, or comes and the job does not end within 0.1 s. A job
@@ -112,11 +112,11 @@ class WorkerThread:
                     raise StopRequestedError(name) from None
 
     def abandon(self) -> None:
-        """Mark a frame of another thread as abandoned."""
+        """Set `is_abandoned`, because the pacer's thread still computes a frame."""
         self._running = True
 
     def end_process(self, status: int) -> NoReturn:
-        """End the process at once.
+        """End the process at once, without the interpreter's shutdown.
 
         An abandoned job may still be inside the engine, and the interpreter's own shutdown would free memory that the
         job uses.

@@ -45,7 +45,7 @@ class SimTimeNode(Node):
     has_clock_time = False
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """Create a subscription as rclpy does, which subscribes to /clock by this method too."""
+        """Create a subscription; that of /clock, which rclpy itself creates by this method, drops invalid times."""
         log = ThrottledLog(self.get_logger(), seconds=_WARNING_PERIOD)
 
         def take_valid(message: Clock) -> Any:
@@ -79,11 +79,11 @@ class ClockSilence:
 
     @property
     def seconds(self) -> float:
-        """Time since the start [s]."""
+        """Time since this object was created [s]."""
         return self._seconds() - self._began
 
     def check(self) -> None:
-        """Warn if a warning is due. Call it periodically while no message has come."""
+        """Log the warning if it is due. Call it periodically while no message has come on /clock."""
         now = self._seconds()
         if now <= self._next_warning:
             return

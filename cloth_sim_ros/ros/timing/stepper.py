@@ -20,7 +20,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class Stepper:
-    """Advances a simulation with the events of a queue.
+    """Computes frames of the simulation with the events that wait in a queue.
 
     Args:
         simulation: the cloth.
@@ -98,14 +98,14 @@ class Stepper:
         return None if self.aborted else frame
 
     def answer(self) -> None:
-        """Answer the events of the newest frame."""
+        """Call the answer callbacks of the newest frame's events with their results."""
         results, self._results, self._entries = self._results, [], []
         for entry, result in results:
             if entry.answer is not None:
                 entry.answer(result)
 
     def refuse(self, reason: str) -> None:
-        """Answer the events of a frame that failed."""
+        """Call the answer callbacks of the newest frame's events with the reason why the frame failed."""
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
 
