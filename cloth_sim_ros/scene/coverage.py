@@ -36,7 +36,7 @@ class CoverageScene(Protocol):
 
 
 def check_coverage(scene: CoverageScene) -> None:
-    """Refuse an obstacle that has no plane, a rectangle without area, and a cloth without a surface.
+    """Refuse `coverage` with an obstacle that has no plane, a rectangle without area, or a cloth without a surface.
 
     Raises:
         ParameterError: naming the parameter.
@@ -55,7 +55,7 @@ def check_coverage(scene: CoverageScene) -> None:
 
 
 class Coverage:
-    """Area of the cloth's projection onto a plane, with overlapping layers counted once.
+    """Measures the area of the cloth's projection onto a plane, with overlapping layers counted once.
 
     The plane is z = 0 of the obstacle's frame, and the projection is along z. Square cells from the frame's origin on
     count if their centre lies in a projected triangle.
@@ -154,7 +154,7 @@ def _spans(
 
 
 def _slopes(x: Array, y: Array, a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
-    """Return dx/dy of the edges from corners a to b; 0 for a horizontal one, whose row begins at its end b."""
+    """Return dx/dy of the edges from corners a to b, shape (n,); 0 for a horizontal edge, whose row begins at b."""
     rise = y[b] - y[a]
     slopes: Array = np.divide(x[b] - x[a], rise, out=np.zeros(len(a)), where=rise > 0.0)
     return slopes

@@ -33,7 +33,7 @@ class KeypointScene(Protocol):
 
 
 def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
-    """Return the particle of each keypoint by name, in the order of the parameter.
+    """Return the particle index of each keypoint by name, in the order of the parameter `keypoints`.
 
     Raises:
         ParameterError: for an unknown corner or particle, a name that is no ROS name, or one that occurs twice.
@@ -58,7 +58,7 @@ def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
 
 
 class KeypointPoses:
-    """Poses of the keypoints: z along the surface's normal, x along the cloth.
+    """Computes the poses of the keypoints: z along the surface's normal, x along the cloth.
 
     x follows a grid's row, or the first edge of a mesh's first triangle at the particle. Without a normal the
     orientation is that of the frame.

@@ -43,7 +43,7 @@ _END = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*end_header[ \t]*(?:\r\n|\r|\n|\Z)")
 
 @attrs.define(kw_only=True)
 class PlyElement:
-    """A kind of row, as declared by the header."""
+    """Element that a PLY header declares, e.g. vertex: its name, number of rows and properties."""
 
     name: str
     count: int
@@ -52,11 +52,11 @@ class PlyElement:
 
     @property
     def plural(self) -> str:
-        """Plural of its name."""
+        """Plural of the element's name, for messages."""
         return {"vertex": "vertices"}.get(self.name, f"{self.name}s")
 
     def lines(self) -> Iterator[str]:
-        """Yield its lines of the header."""
+        """Yield the lines of a PLY header that declare the element."""
         yield f"element {self.name} {self.count}"
         for name, length, kind in self.properties:
             yield f"property list {length} {kind} {name}" if length else f"property {kind} {name}"
@@ -64,7 +64,7 @@ class PlyElement:
 
 @attrs.frozen(kw_only=True)
 class PlyMesh:
-    """The mesh of a PLY file."""
+    """Vertices and polygons of a PLY file."""
 
     points: NDArray[np.float64]
     """Vertices as they are in the file, (n, 3)."""
@@ -75,7 +75,7 @@ class PlyMesh:
 
 
 def read_ply(data: bytes) -> PlyMesh:
-    """Return vertices and faces of a PLY file's content. A file without faces may have triangle strips.
+    """Parse a PLY file's content as vertices and polygons. A file without faces may have triangle strips.
 
     Raises:
         ValueError: if it is no complete PLY file.
@@ -104,7 +104,7 @@ def read_ply(data: bytes) -> PlyMesh:
 
 
 def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
-    """Return the format, the elements, and the bytes after the header."""
+    """Parse the header; return the format, the elements, and the bytes after the header."""
     end = _END.search(data)
     if end is None:
         raise ValueError("the header does not end with end_header")
@@ -162,7 +162,7 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
 
 
 def _corner_list(face: PlyElement) -> str:
-    """Return the name of the list of a face's corners."""
+    """Return the name of the property that lists a face's corners."""
     lists = [name for name, length, kind in face.properties if length and kind not in _FRACTIONS]
     for name in (*_CORNER_LISTS, *lists):
         if name in lists:
@@ -171,7 +171,7 @@ def _corner_list(face: PlyElement) -> str:
 
 
 def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArray[np.void]]:
-    """Return the rows of every element."""
+    """Return the rows of every element by its name."""
     if form != "ascii":
         uniform = _uniform_rows(elements, body, "<" if form == "binary_little_endian" else ">")
         if uniform is not None:

@@ -30,7 +30,7 @@ class RebuildableScene(Protocol):
 
 
 def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
-    """Return the parameters of a session's scene by full name.
+    """Return the parameters of a recorded scene by full name, with the former values of those that it lacks.
 
     Args:
         scene_yaml: parameter file of the scene.

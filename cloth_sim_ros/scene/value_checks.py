@@ -67,7 +67,7 @@ class SceneValues(Protocol):
 
 
 def check_values(scene: SceneValues) -> None:
-    """Refuse values whose faults depend on no other check; one error names all of them.
+    """Refuse invalid numbers and names of a scene, before its sheet is built; one error names all of them.
 
     Raises:
         ParameterError: naming each parameter.

@@ -60,7 +60,7 @@ class BagTopics:
         self._snapshots = Output(node, UInt8MultiArray, "~/snapshot", sink, qos=LATCHED_QOS)
 
     def restart(self) -> None:
-        """Number records anew and begin with a snapshot, because a frame may have failed after its record was sent."""
+        """Restart the numbers of records and begin with a snapshot, because a failed frame may have sent its record."""
         self._session, self._sequence, self._subscription_count = secrets.token_hex(8), 0, 0
         #: Number of the record behind the last snapshot.
         self._last_snapshot = 0

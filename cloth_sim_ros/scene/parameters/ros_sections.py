@@ -37,7 +37,7 @@ def matches(section: str, node: str) -> bool:
 
 
 def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each section by full name, in the order in which the sections begin.
+    """Parse a ROS parameter file; return the parameters of each section by full name, in the order of sections.
 
     An empty list, which sets nothing in ROS, becomes [] if nothing else sets the name.
 
@@ -49,7 +49,7 @@ def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
 
 
 class _Section:
-    """Values of a section, with the types that each name had before."""
+    """Values of one section of a parameter file, by name and type, as ROS's parser keeps them."""
 
     def __init__(self) -> None:
         self._entries: list[tuple[str, dict[str, Any]]] = []
@@ -72,10 +72,13 @@ class _Section:
         return self._first[name]
 
     def values(self) -> dict[str, Any]:
+        """Return the value of each name; ROS keeps the first type in its search order."""
         return {name: next((kinds[kind] for kind in _KINDS if kind in kinds), []) for name, kinds in self._entries}
 
 
 class _SectionReader:
+    """Reads the sections of a parameter file from the events of a YAML parser, and refuses what ROS refuses."""
+
     def __init__(self, text: str, source: str) -> None:
         import yaml
 
@@ -86,6 +89,7 @@ class _SectionReader:
         self._sections: dict[str, _Section] = {}
 
     def sections(self) -> dict[str, dict[str, Any]]:
+        """Return the parameters of each section by full name."""
         for _ in self._until("StreamEnd"):
             if self._is("DocumentStart"):
                 self._next()
@@ -125,7 +129,7 @@ class _SectionReader:
         return key
 
     def _names(self, above: tuple[str, ...]) -> None:
-        """Read a mapping of names of namespaces and nodes."""
+        """Read a mapping from names of namespaces and nodes to sections."""
         ended = False
         for _ in self._until("MappingEnd"):
             key = self._key()
