@@ -208,7 +208,7 @@ def report(received: Received) -> int:
 
 
 def _published_since(path: str, stamp: int) -> int:
-    """Return the number of clouds in the session from a stamp [ns] on; the subscriber is matched after the start."""
+    """Return the number of clouds in a recorded session from a stamp [ns] on."""
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.reader import SessionReader
 
@@ -253,7 +253,7 @@ class _Child:
         return self._process.poll()
 
     def log(self) -> str:
-        """Return the output of the process."""
+        """Return the output of the process, for an error message."""
         return self._output.read_text(errors="replace")
 
     def check_alive(self) -> None:

@@ -23,7 +23,7 @@ _MAX_ROWS = 1 << 21
 
 
 class CoverageScene(Protocol):
-    """Part of a `Scene` that these functions read."""
+    """Protocol of a `Scene` for the covered area: its parameters, obstacles and sheet."""
 
     @property
     def coverage(self) -> sections.CoverageParameters: ...
@@ -76,7 +76,7 @@ class Coverage:
         self._half = [0.5 * length if length else math.inf for length in size]
 
     def area(self, x: Array, pose: Array) -> float:
-        """Return the covered area [m^2].
+        """Return the covered area [m^2] at positions x [m], shape (3, n), and a pose of the plane's obstacle.
 
         Args:
             x: positions [m], shape (3, n).

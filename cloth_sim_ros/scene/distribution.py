@@ -53,7 +53,7 @@ class Distribution:
 
     @classmethod
     def from_file(cls, path: str | Path) -> Distribution:
-        """Read a file of `cloth_fit --json`, or YAML with the same entries `parameters` and `covariance`.
+        """Read a distribution from a file of `cloth_fit --json`, or YAML with `parameters` and `covariance`.
 
         Parameters that the fit left open are left out. Deviations of entries replace those of the covariance, which
         then gives the correlations.

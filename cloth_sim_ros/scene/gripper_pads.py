@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class PinchScene(Protocol):
-    """Part of a `Scene` from which pads are built."""
+    """Protocol of a `Scene` for pads: parameters of grippers, and names of those that pinch."""
 
     @property
     def gripper(self) -> sections.GripperParameters: ...

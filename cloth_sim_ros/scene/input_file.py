@@ -15,7 +15,7 @@ _CHUNK_BYTES = 1 << 20
 
 
 class InputFileError(ValueError):
-    """A file that was refused; the message gives the reason."""
+    """An input file was refused; the message gives the reason."""
 
 
 def read_bytes(path: str | Path, *, max_bytes: int = MAX_TEXT) -> bytes:

@@ -23,7 +23,7 @@ _CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 
 
 class KeypointScene(Protocol):
-    """Part of a `Scene` that these functions read."""
+    """Protocol of a `Scene` for keypoints: their parameter, and the sheet."""
 
     @property
     def keypoints(self) -> tuple[str, ...]: ...

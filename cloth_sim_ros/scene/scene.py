@@ -204,7 +204,7 @@ class Scene:
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
     def __attrs_post_init__(self) -> None:
-        """Check combinations of values that no single parameter shows."""
+        """Refuse combinations of values that are invalid together, although each is in its range."""
         check_values(self)
         check_sheet(self)
         keypoints.keypoint_particles(self)
@@ -379,7 +379,7 @@ class Scene:
 
     @property
     def obstacle_names(self) -> list[str]:
-        """Names of the present obstacles."""
+        """Names of the present obstacles, which the parameter `obstacles` lists."""
         return [name for name in self.obstacles if name]
 
     @property
@@ -389,7 +389,7 @@ class Scene:
 
     @property
     def unlinked_names(self) -> list[str]:
-        """Names of the described obstacles that are no links of a robot, and therefore have topics."""
+        """Names of the described obstacles, present or not, that are no links of a robot: these have topics."""
         return [name for name, obstacle in self.described.items() if not obstacle.link]
 
     @property
@@ -465,7 +465,7 @@ class Scene:
         return build_plan(self)
 
     def initial_positions(self) -> Array:
-        """Return starting positions [m], shape (particle_count, 3)."""
+        """Return the particles' starting positions in the scene's frame [m], shape (particle_count, 3)."""
         return self._rotated(self.sheet.positions()) + np.asarray(self.cloth.position)
 
     def _rotated(self, vectors: Array) -> Array:

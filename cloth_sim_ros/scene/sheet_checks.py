@@ -29,7 +29,7 @@ _MAX_ACCEPTED = 4
 
 
 def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the default values of raw springs that differ: without a surface there is no drag of wind.
+    """Return default values for raw springs, which have no surface: `wind.normal_drag` is 0 unless it is set.
 
     Args:
         values: given parameters, by full name.

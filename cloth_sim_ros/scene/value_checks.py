@@ -15,7 +15,7 @@ from cloth_sim_ros.scene.parameters.declare import Faults
 
 
 class SceneValues(Protocol):
-    """Part of a `Scene` that these checks read."""
+    """Protocol of a `Scene` for checks of values: the parameters that they read."""
 
     @property
     def cloth(self) -> sections.ClothParameters: ...

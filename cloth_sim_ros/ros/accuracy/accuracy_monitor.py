@@ -97,14 +97,14 @@ class AccuracyMonitor:
         return values
 
     def take_warnings(self) -> list[str]:
-        """Return and clear the warnings since the last call."""
+        """Return the warnings since the last call, e.g. of windows above the error bound, and clear them."""
         warnings = []
         while not self._warnings.empty():
             warnings.append(self._warnings.get_nowait())
         return warnings
 
     def close(self) -> None:
-        """End the worker process."""
+        """End the worker process that measures the error."""
         self._process.close()
 
     def _encode(self, job: _WindowJob) -> tuple[Any, ...]:

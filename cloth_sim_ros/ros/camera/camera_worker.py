@@ -170,7 +170,7 @@ class CameraOutput:
         return bool(self._publishers[leaf].get_subscription_count())
 
     def _publish(self, leaf: str, serialize: Callable[[], bytes]) -> None:
-        """Publish a message if its topic has subscribers."""
+        """Serialize and publish a message on one of the camera's topics, if that has subscribers."""
         if self._has_subscribers(leaf):
             self._publishers[leaf].publish(serialize())
 

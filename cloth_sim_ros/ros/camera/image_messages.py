@@ -30,7 +30,7 @@ class ImageMessage:
         self._start = _after_stamp(message)[:-_COUNT]
 
     def serialized(self, pixels: NDArray[Any], stamp: int) -> bytes:
-        """Return the CDR bytes for pixels (height, width) at a ROS time [ns]."""
+        """Return the CDR bytes of the Image for pixels (height, width) at a ROS time [ns]."""
         return _joined(stamp, self._start, pixels, bytes(-pixels.nbytes % 4))
 
 
@@ -48,7 +48,7 @@ class PointsMessage:
         self._start = _after_stamp(message)[: -_COUNT - _IS_DENSE]
 
     def serialized(self, points: NDArray[np.float32], stamp: int) -> bytes:
-        """Return the CDR bytes for points (height, width, 3) [m] at a ROS time [ns]."""
+        """Return the CDR bytes of the PointCloud2 for points (height, width, 3) [m] at a ROS time [ns]."""
         return _joined(stamp, self._start, points, aligned(b"\0", 4))
 
 
@@ -84,7 +84,7 @@ def millimetres(depths: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def _after_stamp(message: Any) -> bytes:
-    """Return the bytes of a message behind the stamp of its header, which comes first."""
+    """Serialize a message, and return the bytes that follow the stamp of its header."""
     return bytes(serialize_message(message))[len(CDR) + 8 :]
 
 

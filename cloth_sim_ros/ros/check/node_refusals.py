@@ -75,7 +75,7 @@ def check_values(
 
 
 def refuse_scene(scene: Scene, *, node: str) -> None:
-    """Refuse names that are too long for topics, and a recording folder that can't be written.
+    """Refuse a scene with names that are too long for topics, or a recording folder that can't be written.
 
     Raises:
         ParameterError: names the parameter or the folder.

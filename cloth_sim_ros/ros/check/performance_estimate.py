@@ -54,7 +54,7 @@ def estimate_performance(*, period: float, step: float, particles: int, cost: fl
 
 
 def real_time_resolution(shape: tuple[int, int], factor: float, *, fixed_step: bool = False) -> tuple[int, int]:
-    """Return rows and columns, at least 2 each, of a grid of the same size that reaches real time with a margin.
+    """Return rows and columns, at least 2 each, at which a grid of the same extent reaches real time with a margin.
 
     The number of particles grows with the square of the rows, and the number of steps with the rows. The springs of a
     sheet keep their stiffness and its particles share the mass. Therefore the stability limit is proportional to the
@@ -109,7 +109,7 @@ class PerformanceEstimator:
         self.latest: PerformanceEstimate | None = None
 
     def calibrate(self, cost: float | None) -> None:
-        """Set the measured wall time of a step for one particle [s]; None changes nothing."""
+        """Scale estimates by the measured wall time of a step for one particle [s]; None changes nothing."""
         if cost is not None:
             self._cost_ratio = cost / self._cost
 
@@ -157,7 +157,7 @@ class PerformanceEstimator:
         )
 
     def _contact_factors(self, factor: float) -> dict[str, float]:
-        """Return the expected real-time factors with contact, by the condition as text.
+        """Return the expected real-time factors in contact, by a text that names the condition.
 
         A fixed step has none: it stays as it is, and the cost model includes contact.
         """

@@ -95,7 +95,7 @@ def _listed(topics: Mapping[str, _Messages]) -> str:
 def _script(
     gripper: str, topic: str, messages: _Messages, grasps: Mapping[str, _Messages]
 ) -> tuple[int, GripperScript]:
-    """Return the stamp of the first pose [ns], and the script that begins there."""
+    """Build a gripper's script from its messages; return the stamp of the first pose [ns], and the script."""
     from cloth_sim_ros.session.cdr import decode
 
     rows = dict[int, list[float]]()

@@ -105,7 +105,7 @@ class GripperClient:
         return self._status_if(closed=False) is not None
 
     def limit_time(self, elapsed: float, now: float) -> float:
-        """Return the script time that may be played [s]: `elapsed`, or less until a closing has its result.
+        """Return the script time that may be played [s]: `elapsed`, but not beyond a closing without its result.
 
         Until the result of the last closing is known, the gripper stays at its position.
         """
@@ -150,7 +150,7 @@ class GripperClient:
         self._status = dict(old_keys.current_entries(pairs, old_keys.GRIPPER_STATE)) | {"words": str(status.message)}
 
     def _status_if(self, *, closed: bool) -> dict[str, str] | None:
-        """Return the state since it was last cleared if it is of a closed, or open, gripper; otherwise None."""
+        """Return the state that the node has published since the last command if it is closed, or open; else None."""
         status = self._status
         return status if status is not None and status.get("closed") == str(closed).lower() else None
 

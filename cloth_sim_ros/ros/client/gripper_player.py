@@ -43,7 +43,7 @@ class NodeTime:
         return int(self._clock.now().nanoseconds)
 
     def describe(self) -> str:
-        """Return why the time stands, as the end of a sentence."""
+        """Return why this clock stands, as the end of a sentence."""
         return "is not heard: the clock of this node stands"
 
 
@@ -254,7 +254,7 @@ class GripperPlayer:
         return played - step
 
     def _is_served(self) -> bool:
-        """Return true if the node is ready: it serves more than the services that rclpy creates with each node.
+        """Return true if the cloth's node is ready: it serves more than the services that rclpy creates with it.
 
         The check uses the names of services, not that of the node. A killed node stays in the graph for some seconds,
         and a query by node name may return it instead of its successor.

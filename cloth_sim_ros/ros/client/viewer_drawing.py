@@ -20,7 +20,7 @@ _FINISH_TIMEOUT = 10.0
 
 
 def read_options(argv: Sequence[str]) -> argparse.Namespace:
-    """Return the options of a command line, the program's name first; arguments of ROS are left out.
+    """Parse the options of `cloth_viewer` in a command line; arguments of ROS are left out.
 
     Raises:
         SystemExit: raised by argparse.

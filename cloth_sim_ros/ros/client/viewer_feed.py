@@ -130,7 +130,7 @@ class ViewerFeed:
         return [f"{name}.{leaf}" for name in grippers if name for leaf in _GRIPPER_PARAMETERS]
 
     def _discovered(self) -> list[str]:
-        """Return the names of the grippers whose topics are known: a busy node takes long to answer each request."""
+        """Return the names of the grippers whose topics are discovered, without a request to the node."""
         topics = (topic.removeprefix(f"{self._target}/").split("/") for topic in self._topics())
         return [parts[0] for parts in topics if parts[1:] == ["state"]]
 

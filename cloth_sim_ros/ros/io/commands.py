@@ -264,6 +264,6 @@ class CommandSubscriptions:
 
 
 def _describe_command(event: Event, stamp: int) -> str:
-    """Return a command's text for DEBUG lines."""
+    """Return the text of a received command for DEBUG lines."""
     when = f"stamped {stamp / 1e9:.3f} s" if stamp else "for now"
     return f"command received, {when}: {event}"

@@ -147,7 +147,7 @@ class GripperActions:
             self._advance(goal, frame)
 
     def fail(self, reason: str, _stamp: int) -> None:
-        """Abort all goals, because a frame failed."""
+        """Abort all goals in progress, because a frame failed."""
         for goal in list(self._goals.values()):
             self._end(goal, _ABORTED, f"failed: {reason}")
 
@@ -192,7 +192,7 @@ class GripperActions:
         return CancelResponse.REJECT
 
     async def _execute(self, handle: Any) -> Any:
-        """Wait for the end of a goal, and return its result."""
+        """Wait for the end of an accepted goal, and return its result to the action's client."""
         status, result = await self._results.pop(bytes(handle.goal_id.uuid)).done
         if status == _CANCELED and handle.is_cancel_requested:
             handle.canceled()
@@ -233,7 +233,7 @@ class GripperActions:
             goal.server_handle.publish_feedback(feedback)
 
     def _result(self, goal: _Goal, frame: Frame, has_begun: bool) -> GraspResult | None:
-        """Return the result of a goal's grasp if it has one after a frame."""
+        """Return the result of a goal's grasp if a frame completed it; otherwise None."""
         results = [result for result in frame.pinches if result.gripper == goal.gripper]
         if has_begun:
             results = [result for result in frame.grasps if result.gripper == goal.gripper and not result.pending]
@@ -265,7 +265,7 @@ class GripperActions:
             self._log.info(f"goal {goal.gripper} {reason}", f"goal of gripper '{goal.gripper}' is {status}: {reason}")
 
     def _fill(self, message: Any, goal: _Goal, *, stalled: bool, reached: bool) -> None:
-        """Write the present state of a gripper into a feedback or result."""
+        """Write the present state of a gripper into a feedback or result message of its action."""
         state = self._state(goal)
         if hasattr(message, "state"):
             joints = goal.command.joints
@@ -322,7 +322,7 @@ class GripperActions:
         return Grasp(gripper, closes, opening, command.force, max(speed, MIN_PAD_SPEED) if speed else 0.0)
 
     def _hold(self, gripper: str) -> Grasp:
-        """Return the event that stops pads where they are."""
+        """Return the grasp event that stops pads at their present opening."""
         pinching, scene = self._simulation.pinching, self._simulation.scene
         assert pinching is not None
         _, force, speed = pinching.setpoint(gripper)

@@ -36,7 +36,7 @@ class KeypointTopic:
         self.output = Output(node, PoseArray, "~/keypoints", sink, qos=NEWEST_QOS)
 
     def send(self, stamp: int) -> None:
-        """Publish the poses at a ROS time [ns], if the topic has subscribers."""
+        """Publish the poses of the keypoints at a ROS time [ns], if the topic has subscribers."""
         if not self.output.has_subscribers:
             return
         message = PoseArray()
@@ -50,7 +50,7 @@ class KeypointTopic:
 
 
 class CoverageTopic:
-    """Publishes the area of a plane that the cloth covers on ~/coverage.
+    """Publishes on ~/coverage the area of a plane that the cloth covers.
 
     Args:
         node: the node.
@@ -69,7 +69,7 @@ class CoverageTopic:
             self.output.publish(bytes(serialize_message(Float64(data=area))))
 
     def _pose(self) -> Array:
-        """Return the obstacle's present pose, or its described one if it is not in the scene."""
+        """Return the present pose of the obstacle with the plane, or the described one if it is not in the scene."""
         name, obstacles = self.coverage.obstacle, self._simulation.obstacles
         if obstacles is not None and name in obstacles.names:
             pose: Array = obstacles.poses()[obstacles.names.index(name)]

@@ -51,7 +51,7 @@ class CloudMessage:
         self._end = aligned(b"\x01", 4)
 
     def serialized(self, x: Array, stamp: int, v: Array | None = None, normals: Array | None = None) -> bytes:
-        """Return the CDR bytes for positions x [m] and, if the cloud has their fields, v [m/s] and normals.
+        """Return the CDR bytes of the cloud for positions x [m] and, if it has their fields, v [m/s] and normals.
 
         Args:
             x: positions, shape (3, n).
@@ -96,7 +96,7 @@ class SurfaceMarker:
         self._tail = self._tail_length()
 
     def serialized(self, x: Array, stamp: int) -> bytes:
-        """Return the CDR bytes for positions x [m], shape (3, n), at a ROS time [ns]."""
+        """Return the CDR bytes of the Marker for positions x [m], shape (3, n), at a ROS time [ns]."""
         set_stamp(self._message.header.stamp, stamp)
         empty = bytes(serialize_message(self._message))
         head, tail = empty[4 : -self._tail - 4], empty[-self._tail :]

@@ -59,7 +59,7 @@ class ObstacleTopics:
         self._n_repeat_frames = round(_STOP_REPEAT_TIME * simulation.scene.rate)
 
     def record(self, stamp: int) -> None:
-        """Record the markers at the start of a recording, at a ROS time [ns]."""
+        """Record the markers of obstacles at the start of a recording, at a ROS time [ns]."""
         if self._output is not None:
             self._output.record(self._published, stamp)
 
@@ -110,7 +110,7 @@ class ObstacleTopics:
         return entries
 
     def _warn_of_stops(self, frame: Frame) -> None:
-        """Warn once of a stop, even if commands cause it again in each frame."""
+        """Warn of obstacles and grippers that a frame stopped; once, even if commands stop them in each frame."""
         latest = self._last_stop_frames
         self._last_stop_frames = {
             name: index for name, index in latest.items() if frame.index - index <= self._n_repeat_frames

@@ -34,7 +34,7 @@ _ENUMS: dict[str, Any] = {"reliability": ReliabilityPolicy, "history": HistoryPo
 
 
 class RecordSink(Protocol):
-    """Interface of a consumer that records the bytes of messages."""
+    """Protocol of a consumer that records the bytes of messages."""
 
     @property
     def running(self) -> bool:

@@ -53,7 +53,7 @@ class SceneNode(SimTimeNode):
     def __init__(
         self, name: str, *, start_parameter_services: bool = True, enable_logger_service: bool = True, **options: Any
     ) -> None:
-        """Create rclpy's node, and declare the overrides.
+        """Create rclpy's node with its parameter overrides declared, but without services.
 
         Raises:
             ParameterError: for an empty list, which has no type in ROS, or a use_sim_time that is not a bool.
@@ -82,7 +82,7 @@ class SceneNode(SimTimeNode):
         self._post_set_parameters_callbacks.clear()
 
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
-        """Declare parameters as rclpy does, which declares the overrides first; refuse invalid overrides here."""
+        """Declare parameters as rclpy does; refuse invalid overrides, which rclpy declares first by this method."""
         listed = list(parameters)
         overrides = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
         refused = Faults()
@@ -306,7 +306,7 @@ class LiveParameters:
 
     @property
     def _ignores_changes(self) -> bool:
-        """True while parameters are set without an effect on the scene."""
+        """True while ROS parameters are declared or set back, which changes nothing in the scene."""
         return self._returning or (isinstance(self._node, SceneNode) and self._node.declaring)
 
     def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
@@ -337,7 +337,7 @@ def _limits(entry: Parameter, largest: float, kind: Callable[[float], Any]) -> d
 
 
 def _plain(value: Any) -> Any:
-    """Return rclpy's arrays (array.array, list) as tuples."""
+    """Convert an array of a ROS parameter, as rclpy holds it, to a tuple; other values stay unchanged."""
     return value if isinstance(value, bool | int | float | str | bytes | None) else tuple(value)
 
 

@@ -162,7 +162,7 @@ class RobotStart:
         return poses[-1]
 
     def _read(self, data: bytes, kind: Any, topic: str) -> Any:
-        """Return a message from its bytes; an empty one, with a warning, if they are none of that type."""
+        """Deserialize a message; return an empty one, with a warning, if the bytes are not of its type."""
         try:
             return deserialize_message(data, kind)
         except (RuntimeError, UnicodeDecodeError):
@@ -207,7 +207,7 @@ class RobotStart:
 
 
 def _check_tf(settings: RobotParameters) -> None:
-    """Refuse parameters that need tf2_ros if it is not installed.
+    """Refuse parameters of a robot that need tf2_ros if it is not installed.
 
     Raises:
         ParameterError: naming the parameter and the remedy.

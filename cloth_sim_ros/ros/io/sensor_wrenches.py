@@ -35,7 +35,7 @@ class SensorWrenches:
         self._outputs = [Output(node, WrenchStamped, f"~/{name}/{TOPIC}", sink) for name in names]
 
     def send(self, wrenches: Array, stamp: int) -> None:
-        """Publish the wrenches of a frame, shape (gripper_count, 6), that was due at a ROS time [ns]."""
+        """Publish a frame's wrenches (gripper_count, 6) as sensors report them, at a ROS time [ns], if subscribed."""
         if not any(output.has_subscribers for output in self._outputs):
             return
         gripper, poses = self._simulation.scene.gripper, self._simulation.grippers.poses()

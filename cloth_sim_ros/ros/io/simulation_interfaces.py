@@ -163,5 +163,5 @@ class SimulationInterfaces:
 
 
 def _constant(kind: Any, name: str) -> int:
-    """Return a constant of a message; later versions of the package have the prefix STATE_."""
+    """Return a message type's constant by name; later versions of the package have the prefix STATE_."""
     return int(getattr(kind, f"STATE_{name}") if hasattr(kind, f"STATE_{name}") else getattr(kind, name))

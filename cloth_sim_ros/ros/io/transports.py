@@ -151,7 +151,7 @@ def _enter(stack: contextlib.ExitStack, requested: int) -> str:
 
 
 def _udp(stack: contextlib.ExitStack) -> dict[str, str | None]:
-    """Return the environment variables for UDP only."""
+    """Return the environment variables that restrict Fast DDS to UDP."""
     local = os.environ.get(_ONLY_LOCAL) == "1" or os.environ.get(_RANGE, "").upper() == "LOCALHOST"
     if not local:
         return {_BUILTIN: "UDPv4"}

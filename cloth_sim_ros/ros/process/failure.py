@@ -25,7 +25,7 @@ _MAX_REASON_LENGTH = 300
 
 
 class NodeFailedError(RuntimeError):
-    """A frame failed, and `on_failure` is `exit`."""
+    """A frame failed, and the node has to end because `on_failure` is `exit`."""
 
 
 class FailureGuard:
@@ -144,7 +144,7 @@ class CallbackLock:
         self._lock, self._defer = lock, defer
 
     def __enter__(self) -> None:
-        """Take the lock."""
+        """Take the wrapped lock."""
         self._lock.__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
@@ -154,7 +154,7 @@ class CallbackLock:
 
 @contextmanager
 def ignore_errors_after_shutdown(node: Node) -> Iterator[None]:
-    """Suppress errors of the middleware if the context was shut down meanwhile.
+    """Context that suppresses RuntimeErrors of rclpy if ROS was shut down meanwhile.
 
     rclpy's signal handlers may shut it down at any moment.
     """

@@ -32,7 +32,7 @@ class StopSignals:
         self._exits_at_once = False
 
     def install(self) -> None:
-        """Install the handlers; call it in the main thread."""
+        """Install the handlers of SIGINT, SIGTERM and SIGHUP; call it in the main thread."""
         for signum in _SIGNALS:
             signal.signal(signum, self._on_signal)
 
@@ -47,7 +47,7 @@ class StopSignals:
 
     @contextmanager
     def exiting_at_once(self) -> Iterator[None]:
-        """End the process at the first signal within this context, because nothing needs a shutdown yet.
+        """Context in which the first signal ends the process at once, because nothing needs a shutdown yet.
 
         Used during imports: an exception there may be mistaken for a missing library and leaves partial modules.
         """

@@ -29,7 +29,7 @@ def run_inline(job: Callable[[], T]) -> T:
 
 
 class InterruptibleLock:
-    """A reentrant lock; a signal interrupts a thread that waits for it.
+    """A reentrant lock: a thread that waits for it can be interrupted by SIGINT, SIGTERM or SIGHUP.
 
     Args:
         signal_name: returns the name of the signal that has come; empty if none has.
@@ -40,7 +40,7 @@ class InterruptibleLock:
         self._lock = threading.RLock()
 
     def __enter__(self) -> None:
-        """Take the lock.
+        """Wait for the lock and take it; give up if a stop signal came.
 
         Raises:
             StopRequestedError: if a signal has come and the lock is not free within 0.1 s.

@@ -163,7 +163,7 @@ class SessionRecording:
         self._listeners.append(listener)
 
     def poll(self) -> str:
-        """Call the listeners if their event has come; return an error of the recording once, or an empty text."""
+        """Call the listeners whose event has come; return an error of the recording once, or an empty text."""
         recorder = self._recorder or self._closing
         if recorder is None:
             return ""
@@ -183,7 +183,7 @@ class SessionRecording:
         return reason
 
     def begin_close(self, *, reason: str = "stopped") -> None:
-        """Close the file in the background; `notify` reports its end.
+        """End the recording, and close its file in the background; `notify` reports when it is closed.
 
         Raises:
             RecordingUnavailableError: if no recording runs.

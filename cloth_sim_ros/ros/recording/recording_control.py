@@ -157,7 +157,7 @@ class RecordingControl:
             self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
 
     def end(self, *, timeout: float) -> None:
-        """End the recording with the node, within a time [s]."""
+        """End the recording because the node ends, within a time [s], and log the result."""
         status = self.session.end(reason="node stopped", timeout=timeout)
         if status is not None:
             log_end(self._node.get_logger(), status)

@@ -50,7 +50,7 @@ def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: b
 
 
 class DiagnosticsSource(Protocol):
-    """Part of the node that adds entries to the diagnostics."""
+    """Protocol of a part of the node that adds entries to the diagnostics."""
 
     def describe(self) -> dict[str, str]:
         """Return this part's diagnostics entries by key."""

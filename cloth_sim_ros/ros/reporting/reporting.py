@@ -84,7 +84,7 @@ class Reporting:
         self._parameters_changed |= any(isinstance(event, SetParameters) for event in frame.events)
 
     def log_frame(self, frame: Frame) -> None:
-        """Log the events and results of a frame that was published."""
+        """Log results of grasps and reduced contacts of a published frame, and at DEBUG its events and integrator."""
         self._inputs.commands.log_grasps(frame)
         if self.log.debugging:
             self._log_details(frame)

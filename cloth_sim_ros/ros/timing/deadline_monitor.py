@@ -49,7 +49,7 @@ class DeadlineMonitor:
         self._begin_window()
 
     def begin_contact(self, names: str) -> None:
-        """Restart the window because contact has begun, which makes frames slower.
+        """Restart the window of counted frames because contact has begun; a warning at its end names the contact.
 
         Args:
             names: of the contacts, as the end of a sentence.

@@ -203,7 +203,7 @@ class WallPacer:
         self._on_tick(FrameTick(stamp=stamp, lateness=now - tick_time, skipped=skipped, now=start_stamp))
 
     def _stamp_of(self, tick_time: int, periods: int) -> tuple[int, int]:
-        """Return the ROS time of a tick and the present ROS time [ns].
+        """Return the ROS time of a tick, evenly spaced, and the present ROS time [ns].
 
         Stamps are evenly spaced. If the clocks drift apart, stamps are corrected by at most 1 % of the period. They
         jump if the ROS clock jumps.
@@ -328,7 +328,7 @@ class ClockPacer:
         return int(index * _SECOND / self._rate)
 
     def _first_index_from(self, time: int) -> int:
-        """Index of the first tick at or after a time [ns]."""
+        """Return the index of the first tick at or after a time on /clock [ns]."""
         index = int(time * self._rate / _SECOND)
         while self._tick_time(index) < time:
             index += 1

@@ -26,7 +26,7 @@ _WARNING_PERIOD = 60.0
 
 
 def check_sim_time(value: Any) -> None:
-    """Refuse a value that is not a bool; rclpy would log an error and use wall time.
+    """Refuse a value of `use_sim_time` that is not a bool; rclpy would log an error and use wall time.
 
     Raises:
         ParameterError: names the allowed values.
@@ -36,7 +36,7 @@ def check_sim_time(value: Any) -> None:
 
 
 class SimTimeNode(Node):
-    """rclpy's node that ignores messages on /clock without a valid time.
+    """rclpy's node, except that it ignores messages on /clock whose time is invalid.
 
     rclpy's subscription of /clock raises for times before 0, and accepts times that no stamp can hold.
     """

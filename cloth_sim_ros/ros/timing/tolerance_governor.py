@@ -78,7 +78,7 @@ class ToleranceGovernor:
         self._evaluate(load, frame.advance)
 
     def describe(self) -> dict[str, str]:
-        """Return the set tolerance, the one in force, and the reason, for diagnostics."""
+        """Return diagnostics entries: the tolerance that was set, the one in force [m], and the reason."""
         scene = self._simulation.scene
         has_tolerance = bool(scene.tolerance) and not scene.step
         factor = relaxation.factor_of(self._simulation.state)

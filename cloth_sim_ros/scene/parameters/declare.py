@@ -36,12 +36,12 @@ class ParameterError(ValueError):
 
     @property
     def sentences(self) -> list[str]:
-        """Messages, one for each fault."""
+        """Messages of the error, one for each fault."""
         return [str(self)]
 
 
 class ParameterErrors(ParameterError):
-    """Several faults of parameters, one per line."""
+    """An error with several faults of parameters, one per line of its message."""
 
     def __init__(self, sentences: Sequence[str]) -> None:
         super().__init__("\n".join(sentences))
@@ -49,12 +49,12 @@ class ParameterErrors(ParameterError):
 
     @property
     def sentences(self) -> list[str]:
-        """Messages, one for each fault."""
+        """Messages of the error, one for each fault."""
         return list(self._sentences)
 
 
 class Faults:
-    """Collects faults of parameters, so that one error names all of them."""
+    """Collects the messages of several faults of parameters, so that one error names all of them."""
 
     def __init__(self) -> None:
         self._sentences: list[str] = []
@@ -64,7 +64,7 @@ class Faults:
 
     @property
     def sentences(self) -> list[str]:
-        """Messages, one for each fault."""
+        """Messages of the collected faults."""
         return list(self._sentences)
 
     def add(self, sentences: Iterable[str]) -> None:

@@ -134,7 +134,7 @@ def _head(node: str) -> str:
 
 @functools.lru_cache(maxsize=256)
 def _lines(entry: bytes) -> str:
-    """Return the lines of one section, given as pickled bytes, which distinguish 1 from 1.0 and 0.0 from -0.0.
+    """Return the lines of one group of parameters, which is given as pickled bytes: these distinguish 1 from 1.0.
 
     The cache pays off because scenes of a study share nearly all sections, and formatting one takes long.
     """

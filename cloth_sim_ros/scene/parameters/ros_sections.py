@@ -108,7 +108,7 @@ class _SectionReader:
         return self._event
 
     def _until(self, end: str) -> Iterator[Any]:
-        """Yield the events up to the end of the open collection.
+        """Yield the YAML parser's events up to the end of the open collection.
 
         The caller consumes the events of nested collections.
         """

@@ -130,7 +130,7 @@ def _is_solid(vertices: Array, triangles: NDArray[np.int64]) -> bool:
 
 
 def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Return the triangles of each connected piece."""
+    """Return the triangles of each connected piece of a mesh."""
     from cloth_sim_ros.physics.model.sheets.merging import component_labels
 
     labels = component_labels(np.concatenate([triangles[:, :2], triangles[:, 1:]]), count)[triangles[:, 0]]

@@ -38,7 +38,7 @@ class Mimic:
 
 @attrs.frozen(kw_only=True, eq=False)
 class Joint:
-    """A joint between two links."""
+    """Joint of a robot between two links: kind, origin, axis, limits, and the joint that it mimics."""
 
     name: str
     kind: str
@@ -55,7 +55,7 @@ class Joint:
 
     @property
     def is_movable(self) -> bool:
-        """True for a joint with one position."""
+        """True for a joint with one position: revolute, continuous or prismatic."""
         return self.kind in (*ROTATING, *SLIDING)
 
 

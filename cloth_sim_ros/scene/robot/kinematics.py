@@ -18,7 +18,7 @@ from cloth_sim_ros.scene.robot.description import ROTATING, Joint, Mimic, RobotD
 
 
 class Kinematics:
-    """Forward kinematics of a robot: transforms of its bodies from the positions of its joints.
+    """Forward kinematics of a robot: transforms of bodies, rigidly joined links, from positions of joints.
 
     A body is what a movable joint carries, links of fixed joints included. Body 0 is the root's.
     """
@@ -64,7 +64,7 @@ class Kinematics:
         )
 
     def bodies(self, positions: Array, base: Array) -> Array:
-        """Return the transforms of all bodies at given joint positions, shape (bodies, 4, 4).
+        """Return the transforms of all bodies (rigidly joined links) at joint positions, shape (bodies, 4, 4).
 
         Args:
             positions: positions of `joint_names` [rad or m].
