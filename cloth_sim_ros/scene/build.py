@@ -396,7 +396,7 @@ def _grid_families(scene: PhysicsScene, sheet: GridSheet, threads: Threads) -> d
 
 
 def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[Force]:
-    """Build the membrane of triangles, and a grid's axial bending springs, whose stretch stiffness it leaves out."""
+    """Build the membrane of triangles, less the stiffness of a grid's axial bending springs, and these springs."""
     from cloth_sim_ros.physics.model.sheets.membrane import membrane
 
     springs: list[GridSprings] = []

@@ -106,7 +106,7 @@ class Coverage:
 
 
 def _total_height(y: Array, triangles: NDArray[np.int64], low: float, high: float, *, enough: float) -> float:
-    """Return the sum of the triangles' heights between two heights, or a bound of it that is at most `enough`.
+    """Return the sum of the triangles' extents along y, within an interval, or an upper bound that is small enough.
 
     Args:
         y: heights of the corners, shape (n,).
@@ -126,7 +126,7 @@ def _total_height(y: Array, triangles: NDArray[np.int64], low: float, high: floa
 def _spans(
     points: Array, triangles: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return row, first and last column of the integer points in each triangle, row by row.
+    """Return row, first and last column of the integer points in a triangle, for each row that each triangle crosses.
 
     Args:
         points: corners in the plane, shape (2, n).

@@ -98,7 +98,7 @@ def _edge(sheet: Sheet, triangles: NDArray[np.int64], particle: int) -> tuple[in
 
 
 def _orientation(normal: Array, edge: Array) -> tuple[float, float, float, float]:
-    """Return the quaternion of axes with z along a unit normal and x along the part of an edge across it."""
+    """Return the quaternion of axes with z along a unit normal and x along the part of an edge perpendicular to it."""
     across = edge - (edge * normal).sum() * normal
     length = math.sqrt((across * across).sum())
     if not (normal.any() and length > 0.0):

@@ -47,7 +47,7 @@ class _Content:
 
 @attrs.frozen(eq=False, kw_only=True)
 class SolidMesh:
-    """Vertices and triangles of a mesh that bounds a solid, such as an obstacle."""
+    """Vertices and triangles of a mesh that is to bound a solid, such as an obstacle."""
 
     vertices: NDArray[np.float64]
     """[m], (m, 3)."""

@@ -204,7 +204,7 @@ def check_friction(name: str, friction: Sequence[float]) -> None:
 
 
 def check_cloth(sheet: Sheet, thickness: float, *, touches_itself: bool) -> None:
-    """Refuse a cloth that is unsuitable for contact with obstacles or itself.
+    """Refuse a cloth whose surface is missing, degenerate, or too fine for the contact thickness.
 
     Args:
         sheet: geometry of the cloth.

@@ -215,7 +215,7 @@ def _check_end(length: int, n_read: int) -> None:
 
 
 def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[str, NDArray[np.void]] | None:
-    """Return the rows of a binary file; None if rows of an element or the file differ in length from the header."""
+    """Read the rows of a binary file as arrays; None if an element's rows differ in length or the size is wrong."""
     rows: dict[str, NDArray[np.void]] = {}
     offset = 0
     for element in elements:
@@ -246,7 +246,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
 
 
 def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[bytes]:
-    """Yield the values of an ASCII file, one row per line."""
+    """Yield the rows of an ASCII file as lines, because its values may be broken into lines anywhere."""
     index = 0
     for element in elements:
         for row in range(element.count):
@@ -272,7 +272,7 @@ def _list_length(value: bytes, row: str, name: str) -> int:
 
 
 def _triangles(strip: list[int]) -> Iterator[list[int]]:
-    """Yield the triangles of strips that -1 separates; every second triangle is reversed."""
+    """Yield the triangles of triangle strips, which -1 separates; every second triangle is reversed."""
     for ends, run in itertools.groupby(strip, key=lambda vertex: vertex == -1):
         if ends:
             continue

@@ -233,7 +233,7 @@ class Scene:
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
-        """Return the declarations of all parameters of a scene with the obstacles and grippers in full names.
+        """Return the declarations of all parameters of a scene and of obstacles and grippers that `names` mention.
 
         If `names` are values by full name, they include those of the cameras in `cameras`.
         """

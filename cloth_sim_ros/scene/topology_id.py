@@ -22,7 +22,7 @@ _MAX_FINGERPRINT = (1 << 63) - 1
 
 
 def topology_id(sheet: Sheet) -> tuple[int, int, int]:
-    """Return rows, columns and a fingerprint of the connections, by which a state knows its cloth.
+    """Return rows, columns and a fingerprint of the connections, which identify the cloth of a state.
 
     Without a grid, rows is 1 and columns is the number of particles.
     The fingerprint of a grid is 0. Size, material and the layout of a grid's diagonals are left out, because a draped

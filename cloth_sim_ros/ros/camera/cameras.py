@@ -107,7 +107,7 @@ class Cameras:
             self._n_skipped += len(replaced.cameras)
 
     def report(self) -> None:
-        """Log the messages that the camera process sent for the log."""
+        """Log the warnings and notices that the camera process sent."""
         while not self._reports.empty():
             is_warning, camera, text = self._reports.get_nowait()
             log = self._log.warn if is_warning else self._log.info
@@ -180,7 +180,7 @@ def _declare(node: Node, topic: str, profile: QoSProfile) -> None:
 
 
 def _has_image(frame: Frame, images_per_frame: float) -> bool:
-    """Return true if a camera is due in a frame, by the frame's number, so that each run has the same images."""
+    """Return true if an image is due in a frame at a rate of images per frame, by the frame's number alone."""
     if not frame.moved:
         return True
     return math.floor(frame.index * images_per_frame) > math.floor((frame.index - 1) * images_per_frame)

@@ -114,7 +114,7 @@ class PerformanceEstimator:
             self._cost_ratio = cost / self._cost
 
     def report(self) -> None:
-        """Log the estimate if it changed by over 20 % or crossed real time; below that, as a warning with a remedy."""
+        """Log the expected real-time factor if it changed by over 20 % or crossed 1; below 1 with a remedy."""
         self.latest = self._estimate()
         if self.latest is None:
             return

@@ -125,7 +125,7 @@ def _stiffest_force(model: Model, x: Array, particle: int) -> tuple[str, float]:
 
 
 def _describe_elements(sheet: MeshSheet, particles: tuple[int, ...]) -> list[str]:
-    """Return sentences on the shortest edges and the flattest triangles at particles."""
+    """Return sentences on the shortest edges and the flattest triangles of a mesh at given particles."""
     edges = sheet.surface.edges
     lengths = _norms(sheet.rest_positions[edges[:, 1]] - sheet.rest_positions[edges[:, 0]])
     edge_ids = np.flatnonzero(np.isin(edges, particles).any(axis=1))

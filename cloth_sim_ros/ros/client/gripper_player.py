@@ -179,7 +179,7 @@ class GripperPlayer:
         return False
 
     def _wait_to_send(self, now: int) -> int:
-        """Wait until the send time of the target for a time [ns], or until a newer time; return the newest [ns]."""
+        """Wait until the target for a script time [ns] is to be sent, or a newer time comes; return the newest [ns]."""
         while (remaining := self._script_time.send_time - time.monotonic()) > 0.0 and self._script_time.now() == now:
             self._executor.spin_once(timeout_sec=remaining)
         return self._script_time.now() or now

@@ -147,7 +147,7 @@ class CommandSubscriptions:
         return self._last_target_times.get(gripper)
 
     def is_drained(self) -> bool:
-        """Return true if all arrived commands were taken: the last spin of the executor delivered none.
+        """Return true if the executor's last spin delivered no command, or ten spins in a row delivered some.
 
         If it is false, call it again after one more spin.
         """
@@ -240,7 +240,7 @@ class CommandSubscriptions:
         self._log.debug(functools.partial(_describe_command, event, 0))
 
     def _report_result(self, result: EventResult) -> None:
-        """Log the result of a grasp: a topic has no other answer."""
+        """Log the result of a grasp that came by a topic, unless its pads still move."""
         grasp = result.grasp
         if grasp is None:
             self._log.warn("grasp lost", f"a grasp did not take effect: {result.reason}")

@@ -105,7 +105,7 @@ class SurfaceMarker:
 
     @staticmethod
     def _tail_length() -> int:
-        """Return the length of the bytes after the number of points; a marked field before it locates them."""
+        """Return the number of bytes of a serialized Marker after its points, located by the field before them."""
         plain = bytes(serialize_message(Marker()))
         locked = bytes(serialize_message(Marker(frame_locked=True)))
         offset = next(index for index, (a, b) in enumerate(zip(plain, locked, strict=True)) if a != b)

@@ -82,7 +82,7 @@ class SceneNode(SimTimeNode):
         self._post_set_parameters_callbacks.clear()
 
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
-        """Declare parameters as rclpy does; refuse invalid overrides, which rclpy declares first by this method."""
+        """Declare parameters as rclpy does, but first refuse invalid overrides by one error that names all."""
         listed = list(parameters)
         overrides = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
         refused = Faults()

@@ -138,7 +138,7 @@ def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> di
 
 
 def _allowed_values(override: Override, value: Any) -> str:
-    """Return the allowed values of a policy if a value is invalid; otherwise an empty text."""
+    """Return the allowed values of a policy as text if the value is invalid; otherwise an empty text."""
     if override.policy == "depth":
         is_valid = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MAX_DEPTH
         waits = "for slow subscribers" if override.endpoint_kind == PUBLISHER else "for the node"

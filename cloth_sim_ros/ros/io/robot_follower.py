@@ -127,7 +127,7 @@ class RobotFollower:
         return [event] if event.obstacles else []
 
     def observe(self, frame: Frame) -> None:
-        """Let `events` repeat the links' command after a reset, changed parameters, or a stop and a new state."""
+        """Let `events` send the links' poses again after a reset, changed parameters, or a stop and a new state."""
         if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
             self._must_send = True
             if self._stops is not None:

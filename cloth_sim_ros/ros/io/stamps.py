@@ -22,7 +22,7 @@ class NoTimeError(StampError):
 
 
 class OldStampError(StampError):
-    """A stamp older than that of the newest command of the same sender."""
+    """A stamp older than the newest one, e.g. of the same gripper's commands."""
 
 
 def checked(sec: int, nanosec: int) -> int:
@@ -40,7 +40,7 @@ def checked(sec: int, nanosec: int) -> int:
 
 @attrs.define
 class StampGate:
-    """Refuses stamps of one sender's commands that are out of order or too far ahead."""
+    """Refuses stamps of successive commands, e.g. of one gripper, that are out of order or too far ahead."""
 
     _newest: int | None = None
     _last_command: int = 0

@@ -127,7 +127,7 @@ def _has_users_transports() -> bool:
 
 
 def _enter(stack: contextlib.ExitStack, requested: int) -> str:
-    """Set the environment for a segment [bytes], or for UDP if memory is short; return a warning or an empty text."""
+    """Set the environment for a segment of a size [bytes], or for UDP if memory is short; return a warning or ""."""
     requested = min(requested, _MAX_SEGMENT)
     try:
         status = os.statvfs(_SHARED_MEMORY)

@@ -66,7 +66,7 @@ class BagTopics:
         self._last_snapshot = 0
 
     def before_frame(self, stamp: int) -> None:
-        """Publish a snapshot at a ROS time [ns] before a frame if a subscriber is new or the snapshot period over."""
+        """Publish a snapshot at a ROS time [ns] before a frame if a subscriber is new or the last one is too old."""
         known, self._subscription_count = self._subscription_count, self._frames.subscription_count
         if not self._subscription_count:
             return

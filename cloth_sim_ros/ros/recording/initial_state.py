@@ -47,7 +47,7 @@ def session_state(name: str) -> dict[str, bytes]:
 
 
 def _state_at(path: str, frame: int, name: str) -> bytes:
-    """Return the bytes of the state at a frame of a session, which one of its files names."""
+    """Return the bytes of the state at a frame of a session, which is given by any of its files."""
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.reader import SessionReader, session_files
 

@@ -57,14 +57,14 @@ class _Section:
         self._groups: set[str] = set()
 
     def clashes(self, name: str, *, group: bool) -> bool:
-        """Return True if a name is both a value and a group of names; remember groups."""
+        """Return True if a name is used both as a value and as a group of names; remember the names of groups."""
         if group:
             self._groups.add(name)
             return name in self._first
         return name in self._groups
 
     def entry(self, name: str, *, nested: bool) -> dict[str, Any]:
-        """Return the values of a name by type. ROS finds an earlier entry only if the name is not nested."""
+        """Return the dict that holds a name's values by type; a nested name gets a new one each time, as in ROS."""
         if nested or name not in self._first:
             self._entries.append((name, {}))
             self._first.setdefault(name, self._entries[-1][1])

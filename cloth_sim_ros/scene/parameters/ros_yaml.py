@@ -157,7 +157,7 @@ def _loader() -> Any:
     import yaml
 
     class Loader(parser()):  # type: ignore[misc]
-        """A SafeLoader with other plain scalars. It refuses a repeated key, because the last one would win unseen."""
+        """SafeLoader that reads unquoted scalars as ROS does, and refuses a repeated key."""
 
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
             seen: set[str] = set()

@@ -115,7 +115,7 @@ class RobotLinks:
 def add_links(
     scene: Scene, values: Mapping[str, Any], description: str | bytes, *, folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes], RobotLinks]:
-    """Return a scene's parameters with a robot's links as obstacles.
+    """Add a robot's links as obstacles to a scene's parameters; return these, contents of files, and the links.
 
     The obstacles are at the poses of joints at 0; `RobotLinks.poses` and `with_poses` place them elsewhere.
 

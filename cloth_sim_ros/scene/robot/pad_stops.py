@@ -86,7 +86,7 @@ class PadStops:
         return result
 
     def _fraction(self, a: int, b: int, start: Array, end: Array) -> float:
-        """Return the fraction of a step of the joints at which two pads stop."""
+        """Return the largest fraction of a step of the joints at which two pads keep their smallest gap."""
 
         def is_open(fraction: float) -> bool:
             return self._gap(a, b, self._links.poses(start + fraction * (end - start))) >= self._min_gap
