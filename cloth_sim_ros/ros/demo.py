@@ -96,7 +96,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 @contextlib.contextmanager
 def reserved_domain() -> Iterator[None]:
-    """Restrict discovery to this machine and a reserved ROS domain, unless set, so that no robot in the lab moves."""
+    """Context with discovery limited to this machine and a reserved ROS domain, unless set: no real robot moves."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" in os.environ:
         yield

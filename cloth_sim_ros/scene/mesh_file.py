@@ -128,7 +128,7 @@ def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
 
 
 def _merge_limit(content: _Content) -> float:
-    """Return the distance below which vertices are copies of each other, in the file's unit."""
+    """Return the distance below which vertices of a mesh file are copies of each other, in the file's unit."""
     faces, count = content.triangles, len(content.points)
     used = np.unique(faces[(faces >= 0) & (faces < count)])
     points = content.points[used]
@@ -177,7 +177,7 @@ def _obj(data: bytes) -> _Content:
 
 
 def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield the number, from 1, and the words of each non-empty line. Continued lines are joined, comments dropped."""
+    """Yield line number, from 1, and words of each non-empty line of an OBJ file, continued lines joined."""
     words: list[bytes] = []
     first_line = 0
     for line_number, line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):

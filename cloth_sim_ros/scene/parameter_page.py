@@ -80,7 +80,7 @@ def _table(entries: Iterable[Parameter]) -> str:
 
 
 def _value(value: Any) -> str:
-    """Return a value as it stands in a parameter file."""
+    """Return a parameter's value in Markdown, written as in a parameter file."""
     if isinstance(value, tuple):
         return f"`[{', '.join(_bare(entry) for entry in value)}]`"
     return f"`{_bare(value)}`"

@@ -104,7 +104,7 @@ def read_ply(data: bytes) -> PlyMesh:
 
 
 def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
-    """Parse the header; return the format, the elements, and the bytes after the header."""
+    """Parse the header of a PLY file; return the format, the elements, and the bytes after the header."""
     end = _END.search(data)
     if end is None:
         raise ValueError("the header does not end with end_header")
@@ -143,7 +143,7 @@ def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
 
 
 def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
-    """Refuse counts of rows that the rest of a binary file, `length` bytes, can't hold."""
+    """Refuse counts of rows in a PLY header that the rest of a binary file, `length` bytes, can't hold."""
     for element in elements:
         if element.count and not element.properties:
             raise ValueError(f"element {element.name} in the header has no property")
@@ -162,7 +162,7 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
 
 
 def _corner_list(face: PlyElement) -> str:
-    """Return the name of the property that lists a face's corners."""
+    """Return the name of the property that lists the corners of a PLY file's face."""
     lists = [name for name, length, kind in face.properties if length and kind not in _FRACTIONS]
     for name in (*_CORNER_LISTS, *lists):
         if name in lists:
@@ -171,7 +171,7 @@ def _corner_list(face: PlyElement) -> str:
 
 
 def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArray[np.void]]:
-    """Return the rows of every element by its name."""
+    """Return the rows of every element of a PLY file by the element's name."""
     if form != "ascii":
         uniform = _uniform_rows(elements, body, "<" if form == "binary_little_endian" else ">")
         if uniform is not None:
@@ -209,13 +209,13 @@ def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArr
 
 
 def _check_end(length: int, n_read: int) -> None:
-    """Refuse a binary file with bytes after its last row."""
+    """Refuse a binary PLY file with bytes after its last row."""
     if n_read < length:
         raise ValueError(f"{length - n_read} bytes follow its last row: a count in its header is wrong")
 
 
 def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[str, NDArray[np.void]] | None:
-    """Read the rows of a binary file as arrays; None if an element's rows differ in length or the size is wrong."""
+    """Read the rows of a binary PLY file as arrays; None if an element's rows differ in length or the size is wrong."""
     rows: dict[str, NDArray[np.void]] = {}
     offset = 0
     for element in elements:
@@ -246,7 +246,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
 
 
 def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[bytes]:
-    """Yield the rows of an ASCII file as lines, because its values may be broken into lines anywhere."""
+    """Yield the rows of an ASCII PLY file as lines, because its values may be broken into lines anywhere."""
     index = 0
     for element in elements:
         for row in range(element.count):

@@ -475,7 +475,7 @@ class Scene:
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=1)
 
     def starting_state(self) -> State:
-        """Return the starting state: that of `initial_state`, at frame 0 and running; else at rest.
+        """Return the starting state: that of `initial_state`, at frame 0 and running; else the sheet at rest.
 
         A springs file gives velocities of its own.
 

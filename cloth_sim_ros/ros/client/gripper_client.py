@@ -150,7 +150,7 @@ class GripperClient:
         self._status = dict(old_keys.current_entries(pairs, old_keys.GRIPPER_STATE)) | {"words": str(status.message)}
 
     def _status_if(self, *, closed: bool) -> dict[str, str] | None:
-        """Return the state that the node has published since the last command if it is closed, or open; else None."""
+        """Return the gripper's state published since the last command, if it says closed (or open); else None."""
         status = self._status
         return status if status is not None and status.get("closed") == str(closed).lower() else None
 

@@ -54,7 +54,7 @@ class States:
         self._publish_grippers({name: "" for name in self._grippers}, stamp)
 
     def record(self, stamp: int) -> None:
-        """Record the newest states at the start of a recording, at a ROS time [ns]."""
+        """Record the newest messages on ~/state and ~/<gripper>/state when a recording starts, at a ROS time [ns]."""
         for output, data in self._latest.items():
             output.record(data, stamp)
 

@@ -37,7 +37,7 @@ class StopSignals:
             signal.signal(signum, self._on_signal)
 
     def ignore(self) -> None:
-        """Ignore the signals from now on, also during the interpreter's shutdown, which would restore the defaults."""
+        """Ignore stop signals from now on, also in the interpreter's shutdown, which would restore the defaults."""
         for signum in _SIGNALS:
             signal.signal(signum, signal.SIG_IGN)
 

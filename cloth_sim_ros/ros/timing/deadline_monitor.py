@@ -75,7 +75,7 @@ class DeadlineMonitor:
         return late
 
     def add(self, *, late: int, skipped: int, seconds: float) -> None:
-        """Add a frame to the window; at the window's end, log if frames began or ceased to be late.
+        """Add a frame to a window of at least 2 s; at its end, log if frames began or ceased to be late.
 
         Args:
             late: number of late ticks, the frame's own and those skipped before it.

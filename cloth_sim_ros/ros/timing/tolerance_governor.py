@@ -65,7 +65,7 @@ class ToleranceGovernor:
         return [] if requested is None or requested == factor else [Relax(requested)]
 
     def add(self, frame: Frame, seconds: float) -> None:
-        """Add a frame's wall time [s]; at the end of a window, decide on a change of the tolerance."""
+        """Add a frame's wall time [s]; at the end of a window of at least 0.5 s, decide on a change of tolerance."""
         if not self._is_active or not frame.moved or frame.advance is None:
             return
         period = self._simulation.scene.period
