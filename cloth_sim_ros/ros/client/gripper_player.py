@@ -43,7 +43,7 @@ class NodeTime:
         return int(self._clock.now().nanoseconds)
 
     def describe(self) -> str:
-        """Return why this clock stands, as the end of a sentence."""
+        """Return why the client's ROS time stands, as the end of a sentence."""
         return "is not heard: the clock of this node stands"
 
 
