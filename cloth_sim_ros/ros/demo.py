@@ -53,7 +53,7 @@ class DemoError(RuntimeError):
 
 @attrs.define
 class Received:
-    """Messages that the demonstration's subscriber received."""
+    """Number of clouds, first stamp and newest diagnostics that the demonstration received."""
 
     clouds: int = 0
     #: Stamp of the first one [ns].
@@ -62,7 +62,7 @@ class Received:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the demonstration; return the exit status: 0 on success, 1 on failure, 130 if a signal ended it."""
+    """Fold a towel by scripted grippers, live and recorded; return 0, 1 on failure, or 130 after a signal."""
     options = _read(arguments)
     signals = StopSignals()
     signals.install()
@@ -96,7 +96,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 @contextlib.contextmanager
 def reserved_domain() -> Iterator[None]:
-    """Restrict discovery to this machine and a reserved ROS domain, unless set, so that no robot in the lab moves."""
+    """Context with discovery limited to this machine and a reserved ROS domain, unless set: no real robot moves."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" in os.environ:
         yield
@@ -187,7 +187,7 @@ def _watch(cloth: _Child, gripper: _Child, duration: float, received: Received, 
 
 
 def report(received: Received) -> int:
-    """Print what the demonstration received; return its exit status."""
+    """Print the numbers of published, lost and late frames; raise DemoError if any was lost, otherwise return 0."""
     values = received.values
     path = values.get("recording_file", "")
     # The last diagnostics are up to a second older than the last cloud. The session holds every published cloud.
@@ -208,7 +208,7 @@ def report(received: Received) -> int:
 
 
 def _published_since(path: str, stamp: int) -> int:
-    """Return the number of clouds in the session from a stamp [ns] on; the subscriber is matched after the start."""
+    """Return the number of clouds in a recorded session from a stamp [ns] on."""
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.reader import SessionReader
 
@@ -253,7 +253,7 @@ class _Child:
         return self._process.poll()
 
     def log(self) -> str:
-        """Return the output of the process."""
+        """Return the output of the process, for an error message."""
         return self._output.read_text(errors="replace")
 
     def check_alive(self) -> None:

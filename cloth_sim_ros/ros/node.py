@@ -38,8 +38,9 @@ if TYPE_CHECKING:
 
 
 class ClothNode:
-    """A live cloth. `node` is added to an executor, `start` starts time, `close` ends the recording.
+    """A live cloth in the ROS graph: takes commands, computes a frame at each tick, and publishes it.
 
+    Add `node` to an executor; `start` starts time, and `close` ends the recording.
     The ROS node is an attribute, not a base class, so that names can't clash with rclpy's. The parts of a cloth node
     are attributes too: `stepper`, `timing`, `failure`, `recording`, `inputs`, `outputs` and `reporting`.
 
@@ -107,7 +108,7 @@ class ClothNode:
         }
 
     def _robot_start(self, signal_name: Callable[[], str]) -> RobotStart | None:
-        """Return what waits for the robot and its links; None without `robot.enabled`."""
+        """Return the object that waits for the robot's description and poses; None without `robot.enabled`."""
         if self.node.get_parameter_or("robot.enabled").value is not True:
             return None
         from cloth_sim_ros.ros.io.robot_start import RobotStart
@@ -116,12 +117,12 @@ class ClothNode:
 
     @property
     def simulation(self) -> Simulation:
-        """The cloth."""
+        """Simulation of the cloth."""
         return self.stepper.simulation
 
     @property
     def published(self) -> int:
-        """Number of clouds published."""
+        """Number of clouds published on ~/points."""
         return self.outputs.cloth.published
 
     @property
@@ -166,7 +167,7 @@ class ClothNode:
         self.reporting.log.debug(lambda: f"Poisson's ratio, which follows from the moduli: {scene.poisson_ratio}")
 
     def stop(self) -> bool:
-        """Stop the pacer; return true if no frame is running."""
+        """Stop the pacer, so that no frame begins; return true if no frame is running any more."""
         has_ended = self.timing.stop()
         self.stepper.aborted |= not has_ended
         return has_ended

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def bending_forces(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
-    """Build the bending forces of hinges or triangles.
+    """Build the forces of bending of a scene's sheet, from hinges or triangles as `bending.model` says.
 
     Hinges have S7 (opposite), S7 and S8 (crossed), S7 and S9 (altitude), or are quadratic. Triangles have a shape
     operator.
@@ -121,7 +121,7 @@ def _shape_operator_couplings(scene: PhysicsScene, sheet: Sheet, masses: Array) 
 
 
 def friction_of_hinges(scene: PhysicsScene, sheet: Sheet) -> Force:
-    """Build the internal friction of bending.
+    """Build the internal friction of bending, which acts in hinges.
 
     A grid has it in the hinges of its edges: they bend as threads do. Their moment is then the same in all directions.
 
@@ -161,7 +161,7 @@ def _parsed_rest_angles(data: bytes) -> RestAngles:
 
 
 def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array | None:
-    """Return the rest angle of hinges (h, 4), one number or (h,).
+    """Return the rest angle of hinges (h, 4) that the parameters set [rad], one number or (h,).
 
     NaN stands for the angle of the rest shape, None for the angles of all.
     """

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 def build_sheet(scene: PhysicsScene) -> Sheet:
-    """Return the geometry of a scene's cloth: a mesh file, a springs file, or a grid.
+    """Build the geometry of a scene's cloth: from a mesh file, from a springs file, or as a grid.
 
     Raises:
         ParameterError: for a file whose content makes no sheet.
@@ -84,7 +84,7 @@ def _parsed_sheet(
 
 
 def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> Threads:
-    """Return the spring stiffnesses of a scene's grid.
+    """Calculate the spring stiffnesses of a scene's grid, as force per strain [N], from its moduli.
 
     Raises:
         ParameterError: if the moduli can't be met.
@@ -102,7 +102,7 @@ def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> Threads:
 
 
 def anchored_particles(scene: PhysicsScene, sheet: Sheet) -> list[int]:
-    """Return the indices of the anchored particles.
+    """Return the indices of the particles that `cloth.anchors` names, in ascending order.
 
     Raises:
         ParameterError: for an anchor that is neither an edge or corner of a grid nor a particle index.
@@ -157,7 +157,7 @@ def obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[str, int]]:
 
 
 def _described_obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[str, int]]:
-    """Return the joints to obstacles, present or not."""
+    """Return the obstacle and the particle of each joint to a described obstacle, present or not."""
     if not any(scene.cloth.joints):
         return []
     joints, count = list[tuple[str, int]](), len(sheet.positions())
@@ -178,7 +178,7 @@ def _described_obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[
 
 
 def _joint_ends(scene: PhysicsScene) -> Iterator[tuple[str, list[str]]]:
-    """Yield the joints of `cloth.joints` and the names of their two ends."""
+    """Yield each entry of `cloth.joints` with the names of its two ends."""
     for joint in filter(None, scene.cloth.joints):
         ends = joint.split("-")
         if len(ends) != 2 or not all(ends):
@@ -206,7 +206,7 @@ def _check_pieces(scene: PhysicsScene, sheet: MeshSheet, joints: NDArray[np.int6
 
 
 def named_particles(parameter: str, name: str, sheet: Sheet, count: int) -> list[int]:
-    """Return the particles of a number, or of a grid's edge or corner; none for an empty name.
+    """Return the indices of the particles that a name means: an index, or a grid's edge or corner; none if empty.
 
     Raises:
         ParameterError: naming the parameter, for another name or a number that is too large.
@@ -231,7 +231,7 @@ def named_particles(parameter: str, name: str, sheet: Sheet, count: int) -> list
 
 
 def build_model(scene: PhysicsScene) -> Model:
-    """Build masses, forces and anchors."""
+    """Build the physical model of a scene: masses, forces and anchors."""
     sheet = build_sheet(scene)
     masses = sheet.masses(scene.material.density)
     joints = joined_particles(scene, sheet)
@@ -278,7 +278,7 @@ def _grips(scene: PhysicsScene, sheet: Sheet, masses: Array) -> Grips:
 
 
 def attachment_points(joints: list[tuple[str, int]], names: list[str], poses: Array, x: Array) -> Array:
-    """Return the particles' positions in the frames of their obstacles [m], shape (joints, 3).
+    """Return the position of each joint's particle in the frame of its obstacle [m], shape (joints, 3).
 
     Args:
         joints: as from `obstacle_joints`.
@@ -293,7 +293,7 @@ def attachment_points(joints: list[tuple[str, int]], names: list[str], poses: Ar
 def joint_grasps(
     scene: PhysicsScene, joints: list[tuple[str, int]], masses: Array, offsets: Array
 ) -> tuple[NDArray[np.int64], Grasps]:
-    """Return the indices of joined obstacles, and their particles as grasps.
+    """Return the indices of obstacles with joints, and the springs of these joints as grasps of particles.
 
     Args:
         scene: gives obstacles, stiffness and damping.
@@ -311,7 +311,7 @@ def joint_grasps(
 
 
 def contact_surface(scene: PhysicsScene, sheet: Sheet) -> ContactSurface | None:
-    """Build the surface that touches; None for raw springs without triangles, whose particles alone touch obstacles."""
+    """Build the cloth's contact surface; None for a cloth without triangles, whose particles alone touch obstacles."""
     from cloth_sim_ros.physics.model.forces.contact import ContactSurface
 
     triangles, contact = sheet.triangles(), scene.contact
@@ -353,7 +353,7 @@ def uniform_forces(scene: PhysicsScene) -> list[Force]:
 
 
 def _air_panels(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
-    """Build the force of air on the surface."""
+    """Build the drag of the air on the surface's panels; an empty list if both coefficients are 0."""
     wind = scene.wind
     if not wind.normal_drag and not wind.tangential_drag:
         return []
@@ -364,7 +364,7 @@ def _air_panels(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
 
 
 def _added_mass(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
-    """Build the inertia of the air that the surface carries along."""
+    """Build the inertia of the air that the surface carries along; an empty list if it is 0."""
     if not scene.air.added_mass:
         return []
     from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
@@ -373,7 +373,7 @@ def _added_mass(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
 
 
 def _panels(sheet: Sheet) -> NDArray[np.int64]:
-    """Return the panels of a surface.
+    """Return the panels on which air acts, by the particles at their corners: cells of a grid, or triangles.
 
     A grid has panels per cell, not per triangle. Therefore the area of each particle is proportional to its mass.
     """
@@ -381,7 +381,7 @@ def _panels(sheet: Sheet) -> NDArray[np.int64]:
 
 
 def build_plan(scene: PhysicsScene) -> Plan:
-    """Build the equations of motion."""
+    """Build the model of a scene, and compile it for the engine."""
     return compile(build_model(scene))
 
 
@@ -396,7 +396,7 @@ def _grid_families(scene: PhysicsScene, sheet: GridSheet, threads: Threads) -> d
 
 
 def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[Force]:
-    """Build the triangles, and the axial springs of bending of a grid, whose stiffness the triangles leave out."""
+    """Build the membrane of triangles, less the stiffness of a grid's axial bending springs, and these springs."""
     from cloth_sim_ros.physics.model.sheets.membrane import membrane
 
     springs: list[GridSprings] = []
@@ -428,8 +428,9 @@ def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[F
 
 
 def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[Threads, tuple[float, float]]:
-    """Return the axial threads of a grid without edges and diagonals, and the stiffness that they add along warp and
-    weft [N/m].
+    """Return the axial bending springs of a grid as threads, and the stretch stiffness that they add [N/m].
+
+    The stiffness is along warp and weft. The threads have neither edges nor diagonals.
 
     Raises:
         ParameterError: if they are not along warp and weft.
@@ -458,7 +459,7 @@ STIFFENING = ("warp_stiffening", "weft_stiffening", "shear_stiffening")
 
 
 def fabric_moduli(scene: PhysicsScene) -> FabricModuli:
-    """Return the moduli of the triangles of a scene.
+    """Return the moduli of a scene's fabric for a membrane of triangles.
 
     Raises:
         ParameterError: for a Poisson's ratio that the moduli exclude.
@@ -508,7 +509,7 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
 
 
 def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> list[Force]:
-    """Build the joints (S4) between particles; none without pairs (m, 2)."""
+    """Build the zero-length springs (S4) of joints between particles; none without pairs (m, 2)."""
     if not len(pairs):
         return []
     cloth, (first, second) = scene.cloth, masses[pairs.T]

@@ -23,7 +23,7 @@ MAX_MILLIMETRES_DEPTH = 65.535
 
 @attrs.frozen(kw_only=True)
 class CameraParameters:
-    """One depth camera. Its parameters form a group under its own name, e.g. `wrist.width`.
+    """Parameters of one depth camera, a group under its own name, e.g. `wrist.width`.
 
     Its optical frame has x right, y down and z forward (REP 103).
     """

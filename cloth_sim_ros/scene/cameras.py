@@ -22,7 +22,7 @@ from cloth_sim_ros.scene.parameters.declare import NAME, Faults, Parameter, Para
 
 
 def declared(name: str) -> tuple[Parameter, ...]:
-    """Return every parameter of a camera with a name."""
+    """Return the declarations of all parameters of a camera, e.g. `wrist.width` for the name `wrist`."""
     return parameters.declared(CameraParameters, f"{name}.")
 
 
@@ -48,7 +48,7 @@ def hint(name: str, groups: Collection[str]) -> str:
 
 
 def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, CameraParameters]:
-    """Return the cameras' parameters from checked values by full name."""
+    """Build the parameters of each named camera from checked values by full name."""
     return {name: parameters.build(CameraParameters, dict(values), f"{name}.") for name in names}
 
 
@@ -117,7 +117,7 @@ def _faults(name: str, camera: CameraParameters) -> Iterator[str]:
 
 
 def check_change(name: str, before: CameraParameters, now: CameraParameters) -> None:
-    """Refuse a change of a camera's parameter that is set at start.
+    """Refuse a change of a camera's parameter that can be set at start only.
 
     Raises:
         ParameterError: naming the parameter.

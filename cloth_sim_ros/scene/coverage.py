@@ -23,7 +23,7 @@ _MAX_ROWS = 1 << 21
 
 
 class CoverageScene(Protocol):
-    """Part of a `Scene` that these functions read."""
+    """Protocol of a `Scene` for the covered area: its parameters, obstacles and sheet."""
 
     @property
     def coverage(self) -> sections.CoverageParameters: ...
@@ -36,7 +36,7 @@ class CoverageScene(Protocol):
 
 
 def check_coverage(scene: CoverageScene) -> None:
-    """Refuse an obstacle that has no plane, a rectangle without area, and a cloth without a surface.
+    """Refuse `coverage` with an obstacle that has no plane, a rectangle without area, or a cloth without a surface.
 
     Raises:
         ParameterError: naming the parameter.
@@ -55,7 +55,7 @@ def check_coverage(scene: CoverageScene) -> None:
 
 
 class Coverage:
-    """Area of the cloth's projection onto a plane, with overlapping layers counted once.
+    """Measures the area of the cloth's projection onto a plane, with overlapping layers counted once.
 
     The plane is z = 0 of the obstacle's frame, and the projection is along z. Square cells from the frame's origin on
     count if their centre lies in a projected triangle.
@@ -76,7 +76,7 @@ class Coverage:
         self._half = [0.5 * length if length else math.inf for length in size]
 
     def area(self, x: Array, pose: Array) -> float:
-        """Return the covered area [m^2].
+        """Return the covered area [m^2] at positions x [m], shape (3, n), and a pose of the plane's obstacle.
 
         Args:
             x: positions [m], shape (3, n).
@@ -106,7 +106,7 @@ class Coverage:
 
 
 def _total_height(y: Array, triangles: NDArray[np.int64], low: float, high: float, *, enough: float) -> float:
-    """Return the sum of the triangles' heights between two heights, or a bound of it that is at most `enough`.
+    """Return the sum of the triangles' extents along y, within an interval, or an upper bound that is small enough.
 
     Args:
         y: heights of the corners, shape (n,).
@@ -126,7 +126,7 @@ def _total_height(y: Array, triangles: NDArray[np.int64], low: float, high: floa
 def _spans(
     points: Array, triangles: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return row, first and last column of the integer points in each triangle, row by row.
+    """Return row, first and last column of the integer points in a triangle, for each row that each triangle crosses.
 
     Args:
         points: corners in the plane, shape (2, n).
@@ -154,7 +154,7 @@ def _spans(
 
 
 def _slopes(x: Array, y: Array, a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
-    """Return dx/dy of the edges from corners a to b; 0 for a horizontal one, whose row begins at its end b."""
+    """Return dx/dy of the edges from corners a to b, shape (n,); 0 for a horizontal edge, whose row begins at b."""
     rise = y[b] - y[a]
     slopes: Array = np.divide(x[b] - x[a], rise, out=np.zeros(len(a)), where=rise > 0.0)
     return slopes

@@ -40,7 +40,7 @@ class DistributionError(ParameterError):
 
 @attrs.frozen(kw_only=True)
 class Distribution:
-    """Normal distribution of the logarithms of parameters."""
+    """Joint distribution of uncertain parameters, whose logarithms are normally distributed."""
 
     #: Full names of the parameters.
     names: tuple[str, ...]
@@ -53,7 +53,7 @@ class Distribution:
 
     @classmethod
     def from_file(cls, path: str | Path) -> Distribution:
-        """Read a file of `cloth_fit --json`, or YAML with the same entries `parameters` and `covariance`.
+        """Read a distribution from a file of `cloth_fit --json`, or YAML with `parameters` and `covariance`.
 
         Parameters that the fit left open are left out. Deviations of entries replace those of the covariance, which
         then gives the correlations.
@@ -69,7 +69,7 @@ class Distribution:
 
     @classmethod
     def from_bytes(cls, content: bytes, subject: str) -> Distribution:
-        """Return the distribution in the content of a file. `subject` names the file in errors.
+        """Parse the content of a file as a distribution. `subject` names the file in errors.
 
         Raises:
             DistributionError: if the content describes no distribution.
@@ -80,7 +80,7 @@ class Distribution:
             raise DistributionError(f"{subject}: {error}") from error
 
     def factors(self, members: int = 0, seed: int = 0) -> list[tuple[float, ...]]:
-        """Return the factors of the parameters for each member of an ensemble.
+        """Return for each member of an ensemble the factors on the parameters: sigma points, or a random sample.
 
         Args:
             members: 0 for sigma points, two for each parameter: mean and covariance of the logarithms are exact, and
@@ -101,7 +101,7 @@ class Distribution:
         ]
 
     def check(self, scene: Scene) -> None:
-        """Refuse a scene whose parameters cannot vary.
+        """Refuse a scene in which a parameter of the distribution is unknown, 0, or cannot change at run time.
 
         Raises:
             DistributionError: if a parameter is unknown, no number, zero, or cannot change while the cloth runs.
@@ -138,7 +138,7 @@ class Distribution:
                 raise DistributionError(f"{describe_member(k, values)}: {error}; state a smaller deviation") from error
 
     def differences(self, scene: Scene) -> list[str]:
-        """Return a sentence for each parameter whose value in a scene is far from that in the file."""
+        """Return a sentence for each parameter whose value in a scene is over a standard deviation from the file's."""
         sentences, values = [], scene.parameters()
         for k, (name, value) in enumerate(zip(self.names, self.values, strict=True)):
             if value is None or not value > 0.0:
@@ -154,12 +154,12 @@ class Distribution:
         return sentences
 
     def member_values(self, scene: Scene, factors: Sequence[float]) -> dict[str, Any]:
-        """Return the values of the distributed parameters of one member of an ensemble about a scene."""
+        """Return a scene's values of the distributed parameters times the factors of one member of an ensemble."""
         values = scene.parameters()
         return self.scaled({name: values[name] for name in self.names}, factors)
 
     def scaled(self, values: Mapping[str, Any], factors: Sequence[float]) -> dict[str, Any]:
-        """Return parameters by full name, with those of the distribution times a member's factors."""
+        """Return given parameters by full name, with those of the distribution multiplied by a member's factors."""
         scaled = dict(values)
         for name, factor in zip(self.names, factors, strict=True):
             if name in scaled:
@@ -170,7 +170,7 @@ class Distribution:
 
 
 def describe_member(index: int, values: Mapping[str, Any]) -> str:
-    """Return the name of a member of an ensemble in texts, with the values of its parameters."""
+    """Return a text that names a member of an ensemble, with the values of its parameters."""
     texts = [f"{name} = {_text(value)}" for name, value in values.items()]
     return f"member {index} of the ensemble ({', '.join(texts)})"
 
@@ -259,7 +259,7 @@ def _deviation(entry: Mapping[str, Any]) -> float:
 
 
 def _covariance(rows: Any, size: int, used: Sequence[int]) -> list[list[float]]:
-    """Return the covariance of the used parameters from that of all in a file."""
+    """Check the covariance of a file, and return that of the used parameters."""
     is_square = isinstance(rows, list) and len(rows) == size
     if not is_square or not all(isinstance(row, list) and len(row) == size for row in rows):
         raise DistributionError(f"covariance must have {size} rows of {size} numbers, in the order of 'parameters'")
@@ -299,7 +299,7 @@ def _cholesky(covariance: Sequence[Sequence[float]]) -> list[list[float]]:
 
 
 def _normal(generator: random.Random) -> float:
-    """Return a normally distributed number by Marsaglia's polar method."""
+    """Draw a number from the standard normal distribution by Marsaglia's polar method."""
     while True:
         x, y = 2.0 * generator.random() - 1.0, 2.0 * generator.random() - 1.0
         square = x * x + y * y

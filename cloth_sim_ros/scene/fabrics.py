@@ -23,7 +23,7 @@ _FIELDS = ("title", "source", "licence", "drape_coefficient", "thickness", "para
 
 @attrs.frozen(kw_only=True)
 class Fabric:
-    """A fabric: what it is, where its values come from, and the parameters that it sets."""
+    """Named fabric: title, source and licence of its values, and the parameters that it sets."""
 
     name: str
     title: str = ""
@@ -40,7 +40,7 @@ class Fabric:
 
 @cache
 def fabrics() -> dict[str, Fabric]:
-    """Return the package's fabrics by name."""
+    """Return the fabrics that the package contains, by name."""
     tree = ros_yaml.load(_FILE.read_text(encoding="utf-8"))
     return {name: _fabric(name, content) for name, content in tree.items()}
 
@@ -48,7 +48,7 @@ def fabrics() -> dict[str, Fabric]:
 def fabric_parameters(
     values: Mapping[str, Any], files: Mapping[str, bytes], folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Return the parameters that the fabric of a scene sets, and the content of its file by name.
+    """Return the parameters that the fabric in `material.fabric` sets, and the content of its file by name.
 
     Args:
         values: given parameters by full name.
@@ -73,7 +73,7 @@ def fabric_parameters(
 
 
 def with_changes(values: Mapping[str, Any], changes: Mapping[str, Any], files: Mapping[str, bytes]) -> dict[str, Any]:
-    """Return all values of a scene with some changed.
+    """Return all values of a scene after changes, which may include a change of its fabric.
 
     A changed fabric replaces the values of the former one, and every other value that it sets.
 
@@ -93,7 +93,7 @@ def with_changes(values: Mapping[str, Any], changes: Mapping[str, Any], files: M
 
 
 def read_fabric(name: str, content: bytes) -> Fabric:
-    """Return the fabric of a file, a YAML of the fields of `Fabric`.
+    """Parse the content of a fabric's file, a YAML of the fields of `Fabric`.
 
     Args:
         name: name of the file, for errors.
@@ -117,7 +117,7 @@ def read_fabric(name: str, content: bytes) -> Fabric:
 
 
 def _fabric(name: str, content: Any) -> Fabric:
-    """Return a fabric from the content of its YAML.
+    """Check the parsed YAML of a fabric, and return the fabric.
 
     Raises:
         ParameterError: for missing or invalid fields.
@@ -159,7 +159,7 @@ def _is_number(value: Any) -> bool:
 
 @cache
 def _allowed() -> tuple[declare.Parameter, ...]:
-    """Return the parameters that a fabric may set: those of the material, and the models of its elements."""
+    """Return the declarations of the parameters that a fabric may set: material, and models of its elements."""
     entries = [
         *declare.declared(sections.MaterialParameters, "material."),
         *declare.declared(sections.MembraneParameters, "membrane."),

@@ -27,7 +27,7 @@ MAX_BYTES = 128 << 20
 
 
 def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Path) -> dict[str, bytes]:
-    """Return the content of every file that the values name, by its name in them.
+    """Read every file that parameter values name; return the contents by the names in the values.
 
     Args:
         values: parameters by full name.
@@ -58,7 +58,7 @@ def is_fabric_file(name: str) -> bool:
 
 
 def file_content(parameter: str, path: Path) -> bytes:
-    """Return the content of the file that a parameter names.
+    """Read the file that a parameter names, and return its bytes.
 
     Raises:
         ParameterError: if it can't be read.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class PinchScene(Protocol):
-    """Part of a `Scene` from which pads are built."""
+    """Protocol of a `Scene` for pads: parameters of grippers, and names of those that pinch."""
 
     @property
     def gripper(self) -> sections.GripperParameters: ...
@@ -24,7 +24,7 @@ class PinchScene(Protocol):
 
 
 def pads_of(scene: PinchScene, mass: float) -> list[ParallelJaw]:
-    """Return the pads of each pinching gripper, for a cloth of a mass [kg].
+    """Build the parallel jaw of each pinching gripper; the cloth's mass [kg] sets the inertia of its drive.
 
     Raises:
         ParameterError: for invalid values.

@@ -22,7 +22,7 @@ _SECTION_PREFIX = "gripper."
 
 
 def declared(name: str) -> Parameter:
-    """Return the parameter of a single gripper by its full name, e.g. ``left.frame``."""
+    """Return the declaration of a single gripper's parameter by its full name, e.g. ``left.frame``."""
     leaf = name.rpartition(".")[2]
     common = next(
         entry
@@ -33,7 +33,7 @@ def declared(name: str) -> Parameter:
 
 
 def individual(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
-    """Return the full names that are parameters of a single gripper, in their order.
+    """Return those of the full names that are parameters of a single gripper, in their order.
 
     Args:
         names: full names.
@@ -52,7 +52,7 @@ def individual(names: Iterable[str], groups: Collection[str], described: Collect
 
 
 def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
-    """Refuse a parameter of a gripper that does not exist.
+    """Refuse parameters of single grippers, such as `left.frame`, whose gripper does not exist.
 
     Args:
         names: full names of parameters of single grippers.
@@ -70,7 +70,7 @@ def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
 
 
 def value(values: Mapping[str, Any], section: sections.GripperParameters, gripper: str, leaf: str) -> Any:
-    """Return the value in force for a gripper.
+    """Return a gripper's value of a parameter: its own if set, otherwise that of the section `gripper`.
 
     Args:
         values: parameters of single grippers by full name.

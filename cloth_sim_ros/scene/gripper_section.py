@@ -22,7 +22,7 @@ GRIP_MODELS = SPRING, PRESCRIBED = ("spring", "prescribed")
 
 @attrs.frozen(kw_only=True)
 class GripperParameters:
-    """Parameters of every gripper."""
+    """Parameters that all grippers share, unless a single gripper overrides them."""
 
     mode: str = parameter(
         "string",

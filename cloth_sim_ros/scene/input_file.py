@@ -15,11 +15,11 @@ _CHUNK_BYTES = 1 << 20
 
 
 class InputFileError(ValueError):
-    """A file that was refused; the message gives the reason."""
+    """An input file was refused; the message gives the reason."""
 
 
 def read_bytes(path: str | Path, *, max_bytes: int = MAX_TEXT) -> bytes:
-    """Return the content of a file on disk.
+    """Read a file on disk of limited size; refuse a larger one, a device, a pipe or a socket.
 
     Args:
         path: path of the file.
@@ -45,7 +45,7 @@ def read_bytes(path: str | Path, *, max_bytes: int = MAX_TEXT) -> bytes:
 
 
 def read_text(path: str | Path, *, max_bytes: int = MAX_TEXT) -> str:
-    """Return the text of a file on disk, in UTF-8; see `read_bytes`."""
+    """Read a file on disk of limited size as text in UTF-8; see `read_bytes`."""
     try:
         return read_bytes(path, max_bytes=max_bytes).decode()
     except UnicodeDecodeError as error:

@@ -23,7 +23,7 @@ _CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 
 
 class KeypointScene(Protocol):
-    """Part of a `Scene` that these functions read."""
+    """Protocol of a `Scene` for keypoints: their parameter, and the sheet."""
 
     @property
     def keypoints(self) -> tuple[str, ...]: ...
@@ -33,7 +33,7 @@ class KeypointScene(Protocol):
 
 
 def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
-    """Return the particle of each keypoint by name, in the order of the parameter.
+    """Return the particle index of each keypoint by name, in the order of the parameter `keypoints`.
 
     Raises:
         ParameterError: for an unknown corner or particle, a name that is no ROS name, or one that occurs twice.
@@ -58,7 +58,7 @@ def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
 
 
 class KeypointPoses:
-    """Poses of the keypoints: z along the surface's normal, x along the cloth.
+    """Computes the poses of the keypoints: z along the surface's normal, x along the cloth.
 
     x follows a grid's row, or the first edge of a mesh's first triangle at the particle. Without a normal the
     orientation is that of the frame.
@@ -98,7 +98,7 @@ def _edge(sheet: Sheet, triangles: NDArray[np.int64], particle: int) -> tuple[in
 
 
 def _orientation(normal: Array, edge: Array) -> tuple[float, float, float, float]:
-    """Return the quaternion of axes with z along a unit normal and x along the part of an edge across it."""
+    """Return the quaternion of axes with z along a unit normal and x along the part of an edge perpendicular to it."""
     across = edge - (edge * normal).sum() * normal
     length = math.sqrt((across * across).sum())
     if not (normal.any() and length > 0.0):

@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 @attrs.frozen(eq=False, kw_only=True)
 class _Content:
-    """Content of a mesh file."""
+    """Vertices and triangles of a mesh file, before they are checked."""
 
     points: NDArray[np.float64]
     """Vertices in the file's order and unit, (n, 3)."""
@@ -47,7 +47,7 @@ class _Content:
 
 @attrs.frozen(eq=False, kw_only=True)
 class SolidMesh:
-    """A mesh for a solid."""
+    """Vertices and triangles of a mesh that is to bound a solid, such as an obstacle."""
 
     vertices: NDArray[np.float64]
     """[m], (m, 3)."""
@@ -58,7 +58,7 @@ class SolidMesh:
 
 
 def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> MeshSheet:
-    """Return the sheet of a mesh file's content and log merges and repairs; arguments as those of `read`.
+    """Parse a mesh file's content as the sheet of a cloth, and log merges and repairs; arguments as those of `read`.
 
     Raises:
         ValueError: if it is no such file, or holds no surface of one cloth.
@@ -72,7 +72,7 @@ def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, 
 
 
 def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> CheckedMesh:
-    """Return the checked mesh of a file's content, without logging.
+    """Parse and check a mesh file's content as the surface of a cloth, without logging.
 
     An STL file repeats a vertex in each of its triangles by design. Merging these copies is therefore not reported as a
     repair, and vertices are numbered in order of appearance.
@@ -95,7 +95,7 @@ def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, s
 
 
 def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
-    """Return the mesh of a file's content for a solid.
+    """Parse a mesh file's content as the mesh of a solid, and repair one that is open.
 
     Vertices at one position are merged, and unused ones are dropped. A mesh that is still open is repaired. Copies of
     vertices are merged and flat triangles joined to neighbours. Edges are split at vertices that lie on them.
@@ -128,7 +128,7 @@ def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
 
 
 def _merge_limit(content: _Content) -> float:
-    """Return the distance below which vertices are copies of each other, in the file's unit."""
+    """Return the distance below which vertices of a mesh file are copies of each other, in the file's unit."""
     faces, count = content.triangles, len(content.points)
     used = np.unique(faces[(faces >= 0) & (faces < count)])
     points = content.points[used]
@@ -136,7 +136,7 @@ def _merge_limit(content: _Content) -> float:
 
 
 def _content(data: bytes, name: str) -> tuple[str, _Content]:
-    """Return the format of a mesh file and its content."""
+    """Parse a mesh file by the suffix of its name; return the format and the content."""
     kind = Path(name).suffix.lower().lstrip(".")
     if kind not in KINDS:
         raise ValueError(f"'{name}' is no mesh file that can be read: its name must end in {', '.join(KINDS)}")
@@ -177,7 +177,7 @@ def _obj(data: bytes) -> _Content:
 
 
 def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield the number, from 1, and the words of each non-empty line. Continued lines are joined, comments dropped."""
+    """Yield line number, from 1, and words of each non-empty line of an OBJ file, continued lines joined."""
     words: list[bytes] = []
     first_line = 0
     for line_number, line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
@@ -256,7 +256,7 @@ def _stl(data: bytes) -> _Content:
 
 
 def load_with_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Return the result of one of trimesh's readers.
+    """Call one of trimesh's readers, and turn any error of a broken file into a ValueError.
 
     The exception that a broken file raises depends on the fault; its text names the cause. An exception of the call
     itself, not of code within it, is a programming error and passes.

@@ -33,12 +33,12 @@ _SHAPE_LEAF = "shape"
 
 
 def declared(name: str) -> tuple[Parameter, ...]:
-    """Return every parameter of an obstacle with a name."""
+    """Return the declarations of all parameters of an obstacle, e.g. `table.size` for the name `table`."""
     return parameters.declared(sections.ObstacleParameters, f"{name}.")
 
 
 def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
-    """Return the names of the obstacles that full names of parameters describe, in their order.
+    """Return the obstacles whose `<name>.shape` is among full names of parameters, in their order.
 
     Args:
         values: full names.
@@ -58,12 +58,12 @@ def hint(name: str, groups: Collection[str]) -> str:
 
 
 def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.ObstacleParameters]:
-    """Return the descriptions of obstacles from checked values by full name."""
+    """Build the description of each named obstacle from checked values by full name."""
     return {name: parameters.build(sections.ObstacleParameters, dict(values), f"{name}.") for name in names}
 
 
 def check_distinct(kind: str, names: Sequence[str]) -> None:
-    """Refuse names of grippers or obstacles that are no ROS names, or that occur twice.
+    """Refuse names of grippers, obstacles or cameras that are no ROS names, or that occur twice.
 
     Raises:
         ParameterError: naming it.
@@ -76,7 +76,7 @@ def check_distinct(kind: str, names: Sequence[str]) -> None:
 
 
 def check_change(name: str, before: sections.ObstacleParameters, now: sections.ObstacleParameters) -> None:
-    """Refuse a change of an obstacle that is not possible while it exists.
+    """Refuse a change of a present obstacle's parameters, other than `friction` and `frame`.
 
     Raises:
         ParameterError: naming the parameter.
@@ -93,7 +93,7 @@ def check_change(name: str, before: sections.ObstacleParameters, now: sections.O
 def check_names(
     names: Sequence[str], described_names: Collection[str], grippers: Collection[str], groups: Collection[str]
 ) -> None:
-    """Refuse invalid names of obstacles.
+    """Refuse obstacles whose name is invalid or taken, or whose `<name>.shape` is not set.
 
     Args:
         names: names of the present obstacles.
@@ -116,7 +116,7 @@ def check_names(
 
 
 def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    """Refuse a mesh file that is named while the cloth runs, because a recording would lack its content.
+    """Refuse a new mesh file while the cloth runs, because a recording would lack its content.
 
     Raises:
         ParameterError: naming the parameter.
@@ -127,7 +127,7 @@ def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
 
 
 def solid(name: str, description: sections.ObstacleParameters, files: Mapping[str, bytes]) -> Obstacle:
-    """Return the rigid shape of a description; `files`: content of files by name.
+    """Build the rigid shape of an obstacle from its description and the contents of files by name.
 
     Raises:
         ParameterError: for an invalid description.
@@ -142,7 +142,7 @@ def solid(name: str, description: sections.ObstacleParameters, files: Mapping[st
 
 @lru_cache(maxsize=512)
 def _solid(name: str, description: sections.ObstacleParameters, content: bytes) -> Obstacle:
-    """Return the rigid shape of a description and its file's content.
+    """Build the rigid shape of an obstacle from its description and its mesh file's content.
 
     Raises:
         ParameterError: for an invalid description.
@@ -170,7 +170,7 @@ def _solid(name: str, description: sections.ObstacleParameters, content: bytes) 
 
 @lru_cache(maxsize=128)
 def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
-    """Return the mesh of an obstacle's file.
+    """Parse the content of an obstacle's mesh file.
 
     Args:
         content: content of the file.
@@ -186,7 +186,7 @@ def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
 
 
 def check_friction_count(name: str, friction: Sequence[float]) -> None:
-    """Refuse coefficients of friction if there are not one or two."""
+    """Refuse coefficients of friction unless there are one or two."""
     if len(friction) not in (1, 2):
         raise ParameterError(
             f"{name} has {len(friction)} entries, {list(friction)}; give one number, or static and kinetic"
@@ -204,7 +204,7 @@ def check_friction(name: str, friction: Sequence[float]) -> None:
 
 
 def check_cloth(sheet: Sheet, thickness: float, *, touches_itself: bool) -> None:
-    """Refuse a cloth that is unsuitable for contact with obstacles or itself.
+    """Refuse a cloth whose surface is missing, degenerate, or too fine for the contact thickness.
 
     Args:
         sheet: geometry of the cloth.

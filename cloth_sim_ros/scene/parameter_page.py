@@ -56,7 +56,7 @@ _GROUPS = {
 
 
 def page() -> str:
-    """Return the whole page, with each declared parameter once."""
+    """Return the reference page of all parameters in Markdown."""
     declared = Scene.declared([OBSTACLE], cameras=[CAMERA])
     groups = dict.fromkeys([*_GROUPS, *(_group(entry) for entry in declared)])
     parts = [_HEAD]
@@ -80,7 +80,7 @@ def _table(entries: Iterable[Parameter]) -> str:
 
 
 def _value(value: Any) -> str:
-    """Return a value as it stands in a parameter file."""
+    """Return a parameter's value in Markdown, written as in a parameter file."""
     if isinstance(value, tuple):
         return f"`[{', '.join(_bare(entry) for entry in value)}]`"
     return f"`{_bare(value)}`"

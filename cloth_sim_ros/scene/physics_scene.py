@@ -19,7 +19,7 @@ Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
 
 class PhysicsScene(Protocol):
-    """Part of a `Scene` from which the model is built."""
+    """Protocol of a `Scene` for building the model: the parameters on which masses and forces depend."""
 
     @property
     def cloth(self) -> sections.ClothParameters: ...

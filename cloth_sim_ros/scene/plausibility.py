@@ -24,7 +24,7 @@ OBSTACLE_EXTENTS = (0.001, 20.0)
 
 
 def cloth_size(scene: Scene, x: Array, masses: Array) -> str:
-    """Return extent, mass and the cloud's resolution as part of a sentence.
+    """Return extent [m], mass [kg] and the cloud's resolution [m] as part of a sentence.
 
     Args:
         scene: scene of the cloth.
@@ -101,5 +101,5 @@ def _extent(points: NDArray[np.float64]) -> float:
 
 
 def _factor(extent: float) -> str:
-    """Return an example of a scale for a file that makes an extent [m]."""
+    """Return, for a message, an example of the scale that corrects an implausible extent [m]."""
     return "0.001 for millimetres" if extent > 1.0 else "e.g. 1000"

@@ -43,7 +43,7 @@ _END = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*end_header[ \t]*(?:\r\n|\r|\n|\Z)")
 
 @attrs.define(kw_only=True)
 class PlyElement:
-    """A kind of row, as declared by the header."""
+    """Element that a PLY header declares, e.g. vertex: its name, number of rows and properties."""
 
     name: str
     count: int
@@ -52,11 +52,11 @@ class PlyElement:
 
     @property
     def plural(self) -> str:
-        """Plural of its name."""
+        """Plural of the element's name, for messages."""
         return {"vertex": "vertices"}.get(self.name, f"{self.name}s")
 
     def lines(self) -> Iterator[str]:
-        """Yield its lines of the header."""
+        """Yield the lines of a PLY header that declare the element."""
         yield f"element {self.name} {self.count}"
         for name, length, kind in self.properties:
             yield f"property list {length} {kind} {name}" if length else f"property {kind} {name}"
@@ -64,7 +64,7 @@ class PlyElement:
 
 @attrs.frozen(kw_only=True)
 class PlyMesh:
-    """The mesh of a PLY file."""
+    """Vertices and polygons of a PLY file."""
 
     points: NDArray[np.float64]
     """Vertices as they are in the file, (n, 3)."""
@@ -75,7 +75,7 @@ class PlyMesh:
 
 
 def read_ply(data: bytes) -> PlyMesh:
-    """Return vertices and faces of a PLY file's content. A file without faces may have triangle strips.
+    """Parse a PLY file's content as vertices and polygons. A file without faces may have triangle strips.
 
     Raises:
         ValueError: if it is no complete PLY file.
@@ -104,7 +104,7 @@ def read_ply(data: bytes) -> PlyMesh:
 
 
 def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
-    """Return the format, the elements, and the bytes after the header."""
+    """Parse the header of a PLY file; return the format, the elements, and the bytes after the header."""
     end = _END.search(data)
     if end is None:
         raise ValueError("the header does not end with end_header")
@@ -143,7 +143,7 @@ def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
 
 
 def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
-    """Refuse counts of rows that the rest of a binary file, `length` bytes, can't hold."""
+    """Refuse counts of rows in a PLY header that the rest of a binary file, `length` bytes, can't hold."""
     for element in elements:
         if element.count and not element.properties:
             raise ValueError(f"element {element.name} in the header has no property")
@@ -162,7 +162,7 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
 
 
 def _corner_list(face: PlyElement) -> str:
-    """Return the name of the list of a face's corners."""
+    """Return the name of the property that lists the corners of a PLY file's face."""
     lists = [name for name, length, kind in face.properties if length and kind not in _FRACTIONS]
     for name in (*_CORNER_LISTS, *lists):
         if name in lists:
@@ -171,7 +171,7 @@ def _corner_list(face: PlyElement) -> str:
 
 
 def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArray[np.void]]:
-    """Return the rows of every element."""
+    """Return the rows of every element of a PLY file by the element's name."""
     if form != "ascii":
         uniform = _uniform_rows(elements, body, "<" if form == "binary_little_endian" else ">")
         if uniform is not None:
@@ -209,13 +209,13 @@ def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArr
 
 
 def _check_end(length: int, n_read: int) -> None:
-    """Refuse a binary file with bytes after its last row."""
+    """Refuse a binary PLY file with bytes after its last row."""
     if n_read < length:
         raise ValueError(f"{length - n_read} bytes follow its last row: a count in its header is wrong")
 
 
 def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[str, NDArray[np.void]] | None:
-    """Return the rows of a binary file; None if rows of an element or the file differ in length from the header."""
+    """Read the rows of a binary PLY file as arrays; None if an element's rows differ in length or the size is wrong."""
     rows: dict[str, NDArray[np.void]] = {}
     offset = 0
     for element in elements:
@@ -246,7 +246,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
 
 
 def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[bytes]:
-    """Yield the values of an ASCII file, one row per line."""
+    """Yield the rows of an ASCII PLY file as lines, because its values may be broken into lines anywhere."""
     index = 0
     for element in elements:
         for row in range(element.count):
@@ -272,7 +272,7 @@ def _list_length(value: bytes, row: str, name: str) -> int:
 
 
 def _triangles(strip: list[int]) -> Iterator[list[int]]:
-    """Yield the triangles of strips that -1 separates; every second triangle is reversed."""
+    """Yield the triangles of triangle strips, which -1 separates; every second triangle is reversed."""
     for ends, run in itertools.groupby(strip, key=lambda vertex: vertex == -1):
         if ends:
             continue

@@ -16,7 +16,7 @@ LEGACY_VALUES: dict[str, Any] = {"cloth.merge": False, "gripper.max_speed": 0.0,
 
 
 class RebuildableScene(Protocol):
-    """Part of a `Scene` that rebuilds it with another value."""
+    """Protocol of a `Scene` that can be built again with other parameters."""
 
     @property
     def cloth(self) -> sections.ClothParameters: ...
@@ -30,7 +30,7 @@ class RebuildableScene(Protocol):
 
 
 def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
-    """Return the parameters of a session's scene by full name.
+    """Return a recorded scene's parameters by full name; those newer than the recording keep the former behaviour.
 
     Args:
         scene_yaml: parameter file of the scene.

@@ -19,7 +19,7 @@ MEMORY_KEY = "relaxed"
 
 
 def factor_of(state: State) -> float:
-    """Return the factor on the scene's tolerance, at least 1."""
+    """Return the factor by which a state's tolerance is relaxed, at least 1."""
     stored = state.memory.get(MEMORY_KEY)
     return 1.0 if stored is None else float(stored[0])
 

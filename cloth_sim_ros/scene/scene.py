@@ -69,7 +69,7 @@ _ROS_GROUPS = ("use_sim_time", "qos_overrides", "start_type_description_service"
 
 @attrs.frozen(kw_only=True)
 class Scene:
-    """Configuration of a cloth, the forces on it, and its time stepping.
+    """Checked, frozen configuration: all parameters of a cloth, its forces, bodies, time stepping and outputs.
 
     Raises:
         ParameterError: for an invalid value, or an invalid combination of values.
@@ -204,7 +204,7 @@ class Scene:
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
     def __attrs_post_init__(self) -> None:
-        """Check combinations of values that no single parameter shows."""
+        """Refuse combinations of values that are invalid together, although each is in its range."""
         check_values(self)
         check_sheet(self)
         keypoints.keypoint_particles(self)
@@ -220,7 +220,7 @@ class Scene:
     def declared(
         cls, obstacles: Iterable[str] = (), individual: Iterable[str] = (), cameras: Iterable[str] = ()
     ) -> tuple[parameters.Parameter, ...]:
-        """Return every parameter of a scene.
+        """Return the declarations of all parameters of a scene with given obstacles, grippers and cameras.
 
         Args:
             obstacles: names of described obstacles.
@@ -233,7 +233,7 @@ class Scene:
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
-        """Return every parameter of a scene, with those of the obstacles and grippers that full names describe.
+        """Return the declarations of all parameters of a scene and of obstacles and grippers that `names` mention.
 
         If `names` are values by full name, they include those of the cameras in `cameras`.
         """
@@ -245,7 +245,7 @@ class Scene:
 
     @property
     def entries(self) -> tuple[parameters.Parameter, ...]:
-        """Every parameter of this scene."""
+        """Declarations of all parameters of this scene."""
         return self.declared(self.described, self.individual, self.views)
 
     @staticmethod
@@ -314,7 +314,7 @@ class Scene:
         return values | self.individual
 
     def changed(self, values: dict[str, Any]) -> Scene:
-        """Return a scene with live parameters changed.
+        """Return a new scene with the values of live parameters replaced.
 
         Raises:
             ParameterError: for an unknown name, a read-only parameter, or an invalid value.
@@ -379,7 +379,7 @@ class Scene:
 
     @property
     def obstacle_names(self) -> list[str]:
-        """Names of the present obstacles."""
+        """Names of the present obstacles, which the parameter `obstacles` lists."""
         return [name for name in self.obstacles if name]
 
     @property
@@ -389,12 +389,12 @@ class Scene:
 
     @property
     def unlinked_names(self) -> list[str]:
-        """Names of the described obstacles that are no links of a robot, and therefore have topics."""
+        """Names of the described obstacles, present or not, that are no links of a robot: these have topics."""
         return [name for name, obstacle in self.described.items() if not obstacle.link]
 
     @property
     def solids(self) -> list[Obstacle]:
-        """Rigid shapes of the present obstacles."""
+        """Rigid shapes of the present obstacles, in the order of `obstacle_names`."""
         names = self.obstacle_names
         return [scene_obstacles.solid(name, self.described[name], self.files) for name in names]
 
@@ -414,7 +414,7 @@ class Scene:
         return (sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else (1, len(sheet.positions()))
 
     def threads(self) -> Threads:
-        """Return spring stiffnesses of a grid's threads, and the resulting Poisson ratio.
+        """Return the spring stiffnesses of a grid, as force per strain [N], and the resulting Poisson's ratio.
 
         Raises:
             ParameterError: if the moduli can't be met, or the cloth is no grid.
@@ -435,7 +435,7 @@ class Scene:
         return POISSON_RATIO if isinstance(sheet, MeshSheet) else None
 
     def distribution(self) -> Distribution:
-        """Return the distribution of `ensemble.file`.
+        """Return the distribution of uncertain parameters in the file `ensemble.file`.
 
         Raises:
             ParameterError: if there is none, its content is invalid, or its parameters cannot vary in this scene.
@@ -465,7 +465,7 @@ class Scene:
         return build_plan(self)
 
     def initial_positions(self) -> Array:
-        """Return starting positions [m], shape (particle_count, 3)."""
+        """Return the particles' starting positions in the scene's frame [m], shape (particle_count, 3)."""
         return self._rotated(self.sheet.positions()) + np.asarray(self.cloth.position)
 
     def _rotated(self, vectors: Array) -> Array:
@@ -475,7 +475,7 @@ class Scene:
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=1)
 
     def starting_state(self) -> State:
-        """Return the starting state: that of `initial_state`, at frame 0 and running; else at rest.
+        """Return the starting state: that of `initial_state`, at frame 0 and running; else the sheet at rest.
 
         A springs file gives velocities of its own.
 
@@ -491,7 +491,7 @@ class Scene:
         return State(self.initial_positions(), velocities, cloth=topology_id(sheet))
 
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:
-        """Return the scene's integrator; `factor` relaxes its tolerance."""
+        """Build the scene's integrator; `factor` multiplies its tolerance."""
         tolerance = relaxation.relaxed_tolerance(self.tolerance, factor) or None
         return make_integrator(self.integrator, step=self.step or None, tolerance=tolerance, work=self.work_limit)
 

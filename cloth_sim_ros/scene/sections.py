@@ -103,7 +103,7 @@ class ClothParameters:
 
 @attrs.frozen(kw_only=True)
 class MaterialParameters:
-    """Physical moduli of the sheet."""
+    """Fabric, density, moduli and damping of the sheet."""
 
     fabric: str = parameter(
         "string",
@@ -224,7 +224,7 @@ class MaterialParameters:
 
 @attrs.frozen(kw_only=True)
 class MembraneParameters:
-    """Resistance to stretch and shear."""
+    """Model of the resistance to stretch and shear: springs or triangles."""
 
     model: str = parameter(
         "string",
@@ -241,7 +241,7 @@ MODULUS_MODELS = ("crossed", "altitude", "quadratic", "shape_operator")
 
 @attrs.frozen(kw_only=True)
 class BendingParameters:
-    """Resistance to bending."""
+    """Model, rest angles and friction of bending."""
 
     model: str = parameter(
         "string",
@@ -311,7 +311,7 @@ class BendingParameters:
 
 @attrs.frozen(kw_only=True)
 class AirParameters:
-    """Drag by still air, and its mass."""
+    """Drag by still air, and the mass of air that the cloth carries along."""
 
     drag: float = parameter("double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", min=0.0, max=1e4, live=True)
     added_mass: float = parameter(
@@ -397,7 +397,7 @@ class ContactParameters:
 
 @attrs.frozen(kw_only=True)
 class ObstacleParameters:
-    """One obstacle. Its parameters form a group under its own name, e.g. `table.size`.
+    """Parameters of one obstacle, a group under its own name, e.g. `table.size`.
 
     Some may change only while `obstacles` does not name it; their description says so.
     """
@@ -476,7 +476,7 @@ class ObstacleParameters:
 
 @attrs.frozen(kw_only=True)
 class PointsParameters:
-    """Fields of ~/points."""
+    """Optional fields and precision of the cloud on ~/points."""
 
     velocity: bool = parameter(
         "bool", False, "Fields vx, vy, vz [m/s] after x, y, z; the cloud is twice as large", live=True, observes=True
@@ -513,7 +513,7 @@ class PointsParameters:
 
 @attrs.frozen(kw_only=True)
 class CoverageParameters:
-    """Area on ~/coverage that the cloth covers."""
+    """Plane, rectangle and resolution of the covered area on ~/coverage."""
 
     obstacle: str = parameter(
         "string",
@@ -557,7 +557,7 @@ class TfParameters:
 
 @attrs.frozen(kw_only=True)
 class RecordParameters:
-    """Recording of sessions."""
+    """Recording of sessions: start, folder, format and limits."""
 
     enabled: bool = parameter("bool", False, "Record a session from the start")
     folder: str = parameter(
@@ -594,7 +594,7 @@ class RecordParameters:
 
 @attrs.frozen(kw_only=True)
 class DiagnosticsParameters:
-    """Optional diagnostics."""
+    """Optional measurements for diagnostics: energy balance and true error."""
 
     energy: bool = parameter(
         "bool", False, "Report the energy balance; every frame is then computed a second time, term by term", live=True

@@ -23,13 +23,13 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.physics_scene import PhysicsScene, Sheet
 from cloth_sim_ros.scene.thread_directions import along_grid, bending_moduli, stretch_moduli
 
-#: Fabrics whose elements are known to be valid, the last one first: their check builds all elements of the sheet.
+#: Values whose sheets are known to be valid, the last ones first: the check builds all elements of a sheet.
 _ACCEPTED: list[tuple[Any, ...]] = []
 _MAX_ACCEPTED = 4
 
 
 def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return defaults that differ for raw springs, which have no surface for the air.
+    """Return default values for raw springs, which have no surface: `wind.normal_drag` is 0 unless it is set.
 
     Args:
         values: given parameters, by full name.
@@ -40,7 +40,7 @@ def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_sheet(scene: PhysicsScene) -> None:
-    """Refuse an invalid sheet, bending model or anchor.
+    """Refuse a scene whose sheet, bending model, anchors, joints or air do not fit together.
 
     Raises:
         ParameterError: naming the parameter.
@@ -55,8 +55,8 @@ def check_sheet(scene: PhysicsScene) -> None:
         if path and path not in scene.files:
             raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
     sheet = scene.sheet
-    fabric = _fabric_of(scene)
-    is_accepted = fabric in _ACCEPTED
+    values = _element_values(scene)
+    is_accepted = values in _ACCEPTED
     if not is_accepted:
         _check_threads(scene, sheet)
     if isinstance(sheet, GridSheet):
@@ -118,17 +118,17 @@ def check_sheet(scene: PhysicsScene) -> None:
         except ValueError as error:
             raise ParameterError(f"cloth.springs '{cloth.springs}': {error}") from error
     if not is_accepted:
-        _ACCEPTED[:] = [fabric, *_ACCEPTED[: _MAX_ACCEPTED - 1]]
+        _ACCEPTED[:] = [values, *_ACCEPTED[: _MAX_ACCEPTED - 1]]
 
 
-def _fabric_of(scene: PhysicsScene) -> tuple[Any, ...]:
+def _element_values(scene: PhysicsScene) -> tuple[Any, ...]:
     """Return all values on which the elements of a sheet depend."""
     contents = [scene.files.get(path) for path in (scene.cloth.mesh, scene.cloth.springs, scene.bending.rest_angles)]
     return (scene.cloth, scene.material, scene.membrane, scene.bending, *contents)
 
 
 def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
-    """Refuse threads that the elements of a sheet can't represent."""
+    """Refuse different moduli of warp and weft that the elements of a sheet can't represent."""
     if scene.membrane.model == "triangles":
         if isinstance(sheet, RawSprings):
             raise ParameterError("membrane.model 'triangles' is not for cloth.springs, which has springs of its own")

@@ -16,7 +16,7 @@ _MAX_VALUES = 500_000
 
 
 def parse(data: bytes) -> RawSprings:
-    """Read a springs file from its bytes.
+    """Parse the bytes of a springs file, YAML or .npz, as raw springs.
 
     Raises:
         ValueError: for bytes in neither format, or tables that make no system; the message names the table.
@@ -25,7 +25,7 @@ def parse(data: bytes) -> RawSprings:
 
 
 def parse_rest_angles(data: bytes) -> RestAngles:
-    """Read a file of rest angles from its bytes; errors as those of `parse`."""
+    """Parse the bytes of a file of hinges' rest angles; errors as those of `parse`."""
     return RestAngles.from_tables(_tables(data, "edges and angles"))
 
 

@@ -14,7 +14,7 @@ _ALIGNED_SINE = 1e-9
 
 
 class ScenesMaterial(Protocol):
-    """Part of a `Scene` that describes its threads."""
+    """Protocol of a `Scene` for moduli of warp and weft: parameters of material and bending."""
 
     @property
     def material(self) -> sections.MaterialParameters: ...
@@ -50,7 +50,7 @@ def is_oblique(scene: ScenesMaterial) -> bool:
 
 
 def along_grid(scene: ScenesMaterial, warp_and_weft: tuple[float, float], names: str) -> tuple[float, float]:
-    """Return a quantity of warp and weft along the rows and along the columns of a grid.
+    """Convert a quantity along warp and weft to one along rows and columns of a grid.
 
     Args:
         scene: gives the direction of the warp.

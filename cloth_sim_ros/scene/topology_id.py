@@ -22,9 +22,9 @@ _MAX_FINGERPRINT = (1 << 63) - 1
 
 
 def topology_id(sheet: Sheet) -> tuple[int, int, int]:
-    """Return rows, columns and a fingerprint of the connections; rows is 1 and columns the particle count without a
-    grid.
+    """Return rows, columns and a fingerprint of the connections, which identify the cloth of a state.
 
+    Without a grid, rows is 1 and columns is the number of particles.
     The fingerprint of a grid is 0. Size, material and the layout of a grid's diagonals are left out, because a draped
     cloth may continue as a stiffer one.
     """
@@ -34,7 +34,7 @@ def topology_id(sheet: Sheet) -> tuple[int, int, int]:
 
 
 def difference(state: State, cloth: tuple[int, int, int]) -> str:
-    """Return the difference of a state's cloth from another one, as the end of a sentence; empty if there is none.
+    """Return how a state's cloth differs from a given one, as the end of a sentence; empty if it does not.
 
     A state without a cloth's identity fits any cloth with its number of particles.
     """

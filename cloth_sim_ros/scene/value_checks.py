@@ -15,7 +15,7 @@ from cloth_sim_ros.scene.parameters.declare import Faults
 
 
 class SceneValues(Protocol):
-    """Part of a `Scene` that these checks read."""
+    """Protocol of a `Scene` for checks of values: the parameters that they read."""
 
     @property
     def cloth(self) -> sections.ClothParameters: ...
@@ -67,7 +67,7 @@ class SceneValues(Protocol):
 
 
 def check_values(scene: SceneValues) -> None:
-    """Refuse values whose faults depend on no other check; one error names all of them.
+    """Refuse invalid numbers and names of a scene, before its sheet is built; one error names all of them.
 
     Raises:
         ParameterError: naming each parameter.

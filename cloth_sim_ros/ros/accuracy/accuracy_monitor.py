@@ -27,7 +27,7 @@ _WINDOW_LENGTH = 1.0
 
 @attrs.frozen(eq=False)
 class _WindowJob:
-    """A window: scene, start state, events and end state."""
+    """Job of the worker process: scene, start state, events and end state of one window of simulated time."""
 
     scene: Scene
     start: State
@@ -36,7 +36,7 @@ class _WindowJob:
 
 
 class AccuracyMonitor:
-    """Starts the worker process without waiting for it, sends it windows and collects their errors."""
+    """Measures the true error of a live cloth: a worker process integrates windows of 1 s again with finer steps."""
 
     def __init__(self) -> None:
         self._scene: Scene | None = None
@@ -56,13 +56,13 @@ class AccuracyMonitor:
         )
 
     def before_frame(self, simulation: Simulation) -> None:
-        """Start a window if none is open."""
+        """Copy the state as the start of a new window if no window is open."""
         if self._start is None and not self._ended:
             self._scene, self._start = simulation.scene, simulation.state.shallow_copy()
             self._events, self._n_moved = [], 0
 
     def after_frame(self, simulation: Simulation, frame: Frame) -> None:
-        """Add a frame to the window, and pass the window on when it is complete."""
+        """Add the frame's events to the open window; send it to the worker process once it spans 1 s of motion."""
         if self._start is None or self._scene is None or not (frame.moved or frame.events):
             return
         self._events.append(frame.events)
@@ -75,7 +75,7 @@ class AccuracyMonitor:
             self._n_skipped += 1
 
     def describe(self, now: float) -> dict[str, str]:
-        """Return the entries for diagnostics at a simulated time [s]."""
+        """Return diagnostics entries: worker state, window counts, newest error and bound [m], lag behind `now` [s]."""
         latest = self._latest
         state = self._ended or ("running" if latest else "starting")
         values = {
@@ -97,25 +97,25 @@ class AccuracyMonitor:
         return values
 
     def take_warnings(self) -> list[str]:
-        """Return and clear the warnings since the last call."""
+        """Return the warnings since the last call, e.g. of windows above the error bound, and clear them."""
         warnings = []
         while not self._warnings.empty():
             warnings.append(self._warnings.get_nowait())
         return warnings
 
     def close(self) -> None:
-        """End the process."""
+        """End the worker process that measures the error."""
         self._process.close()
 
     def _encode(self, job: _WindowJob) -> tuple[Any, ...]:
-        """Return what the process reads of a window."""
+        """Return what is pickled for the worker: values and files of a changed scene, start, events, and end digest."""
         new = job.scene is not self._sent_scene
         self._sent_scene = job.scene
         values, files = (job.scene.parameters(), dict(job.scene.files)) if new else (None, None)
         return values, files, job.start, job.events, job.end.digest()
 
     def _receive(self, verdict: dict[str, Any]) -> bool:
-        """Take the verdict on a window; the process is then ready for another one."""
+        """Store and count the worker's verdict on a window; return true, because the worker is ready for the next."""
         if "trouble" in verdict:
             self._warnings.put(f"the accuracy of a window is not known: {verdict['trouble']}")
             return True

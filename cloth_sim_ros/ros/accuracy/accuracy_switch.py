@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class AccuracySwitch:
-    """Owns the accuracy monitor while `diagnostics.accuracy` is true.
+    """Starts and ends the accuracy monitor by the parameter `diagnostics.accuracy`, and passes frames on to it.
 
     Args:
         simulation: the cloth.
@@ -29,7 +29,7 @@ class AccuracySwitch:
         self._monitor: AccuracyMonitor | None = None
 
     def update(self) -> None:
-        """Start or end the monitor by the parameter, and log the monitor's warnings."""
+        """Start or end the accuracy monitor as `diagnostics.accuracy` requests, and log its warnings."""
         enabled, monitor = self._simulation.scene.diagnostics.accuracy, self._monitor
         if enabled and monitor is None:
             from cloth_sim_ros.ros.accuracy.accuracy_monitor import AccuracyMonitor
@@ -42,21 +42,21 @@ class AccuracySwitch:
                 self.close()
 
     def before_frame(self) -> None:
-        """Pass on the state at which the next frame begins."""
+        """Let the accuracy monitor, if it runs, copy the state before a frame as the start of a window."""
         if self._monitor is not None:
             self._monitor.before_frame(self._simulation)
 
     def after_frame(self, frame: Frame) -> None:
-        """Pass on the frame that ended."""
+        """Pass a computed frame on to the accuracy monitor, if it runs."""
         if self._monitor is not None:
             self._monitor.after_frame(self._simulation, frame)
 
     def describe(self) -> dict[str, str]:
-        """Return the entries for diagnostics."""
+        """Return the accuracy monitor's diagnostics entries; `accuracy: off` if it does not run."""
         return {"accuracy": "off"} if self._monitor is None else self._monitor.describe(self._simulation.time)
 
     def close(self) -> None:
-        """End the monitor if it runs."""
+        """End the accuracy monitor if it runs."""
         if self._monitor is not None:
             self._monitor.close()
             self._monitor = None

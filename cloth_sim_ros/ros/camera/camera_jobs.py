@@ -17,7 +17,7 @@ from cloth_sim_ros.scene.camera_section import CameraParameters
 
 @attrs.frozen(eq=False)
 class CameraTopics:
-    """Optical frame of a camera, and its topics after remapping with their profiles, by their last part."""
+    """Optical frame of one camera; names after remapping and QoS profiles of its topics, by their relative name."""
 
     frame_id: str
     names: dict[str, str]
@@ -27,7 +27,7 @@ class CameraTopics:
 
 @attrs.frozen(eq=False)
 class CameraSetup:
-    """Set-up of the camera process."""
+    """First message to the camera process: cameras, their topics, and the triangles of the cloth."""
 
     node: str
     namespace: str
@@ -41,7 +41,7 @@ class CameraSetup:
 
 @attrs.frozen(eq=False)
 class CameraFrame:
-    """A frame for the cameras that are due."""
+    """Message to the camera process: geometry of one frame, and the cameras that are due to render it."""
 
     index: int
     #: ROS time at which it was due [ns].

@@ -61,7 +61,7 @@ Bodies = Sequence[tuple[Obstacle, Any, int]]
 
 
 class CameraOutput:
-    """Publishers of one camera.
+    """Renders one depth camera, and publishes its images, labels and points.
 
     Args:
         node: the node of this process.
@@ -98,18 +98,18 @@ class CameraOutput:
 
     @property
     def is_subscribed(self) -> bool:
-        """True if a topic has subscribers."""
+        """True if any topic of the camera has subscribers."""
         return any(map(self._has_subscribers, _TYPES))
 
     def update_labels(self, labels: dict[str, int]) -> None:
-        """Publish the names of labels if they changed. The topic is latched."""
+        """Publish the name of each label as JSON, if they changed. The topic is latched."""
         if labels != self._labels:
             self._labels = labels
             names = {str(label): name for name, label in labels.items()}
             self._publishers[LABEL_NAMES].publish(String(data=json.dumps(names)))
 
     def send(self, frame: CameraFrame, bodies: Bodies) -> None:
-        """Render a frame and publish the messages that have subscribers."""
+        """Render a frame and publish it on the topics with subscribers; nothing if the camera's pose is unknown."""
         pose = self._pose(frame)
         if pose is None:
             return
@@ -125,7 +125,7 @@ class CameraOutput:
         self._publish(POINTS, lambda: self._cloud.serialized(self._camera.points(depths), frame.stamp))
 
     def listen(self) -> None:
-        """Subscribe to TF if the camera follows a frame; a first image then finds its transform."""
+        """Subscribe to TF if the camera follows a TF frame, so that the first image finds its transform."""
         if self._parameters.frame:
             with contextlib.suppress(FrameError):
                 self._transformer.newest(self._parameters.frame)
@@ -170,13 +170,13 @@ class CameraOutput:
         return bool(self._publishers[leaf].get_subscription_count())
 
     def _publish(self, leaf: str, serialize: Callable[[], bytes]) -> None:
-        """Publish a message if its topic has subscribers."""
+        """Serialize and publish a message on one of the camera's topics, if that has subscribers."""
         if self._has_subscribers(leaf):
             self._publishers[leaf].publish(serialize())
 
 
 class CameraWorker:
-    """The cameras of one node.
+    """Node of the camera process, which renders and publishes the depth cameras of one cloth.
 
     Args:
         setup: set-up of the process.
@@ -211,7 +211,7 @@ class CameraWorker:
         self._bodies: tuple[Obstacle, ...] = ()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the ROS graph: end the executor, and destroy the node."""
         self._executor.shutdown(timeout_sec=_POLL_PERIOD)
         # rclpy may crash if a node is destroyed while a thread waits for its subscriptions.
         if self._tf_thread.is_alive():
@@ -220,14 +220,14 @@ class CameraWorker:
         rclpy.try_shutdown()
 
     def report_subscribed(self) -> None:
-        """Answer with the cameras that have subscribers, if they changed."""
+        """Send the parent process the names of the cameras with subscribers, if they changed."""
         subscribed = [camera.name for camera in self._cameras if camera.is_subscribed]
         if subscribed != self._subscribed:
             self._subscribed = subscribed
             self._answer({"subscribed": subscribed})
 
     def send(self, frame: CameraFrame) -> None:
-        """Render and publish a frame of the cameras that are due."""
+        """Render and publish one frame with the cameras that are due, and answer when done."""
         start_time = time.perf_counter()
         if frame.bodies is not None:
             self._bodies = frame.bodies
@@ -243,7 +243,7 @@ class CameraWorker:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Render frames until the input ends; return the exit status."""
+    """Run the camera process: render frames until the input ends; return the exit status."""
     os.nice(_NICENESS)
     parent, stream = int(arguments[0]), sys.stdin.buffer
     # A supervisor may send signals to the node and its processes at once. The node then closes the input.

@@ -28,7 +28,7 @@ _WORKER_MODULE = "cloth_sim_ros.ros.camera.camera_worker"
 
 
 class Cameras:
-    """Passes frames on to the camera process. No call waits for it.
+    """Starts the camera process, and sends it the frames that depth cameras with subscribers need, without blocking.
 
     Args:
         node: the node.
@@ -64,7 +64,7 @@ class Cameras:
         self._n_skipped = 0
 
     def start(self) -> None:
-        """Start the process."""
+        """Start the camera process."""
         if not len(self._setup.triangles):
             self._log.warn("cameras", "cameras do not see this cloth: it has no triangles")
         self._process = WorkerProcess(
@@ -78,7 +78,7 @@ class Cameras:
         self._process.put(self._setup)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Pass a frame that was due at a ROS time [ns] on, if cameras with subscribers are due."""
+        """Send a frame that was due at a ROS time [ns] to the camera process, if a camera with subscribers is due."""
         subscribed, scene = self._subscribed, self._simulation.scene
         if not subscribed or self._process is None:
             return
@@ -107,14 +107,14 @@ class Cameras:
             self._n_skipped += len(replaced.cameras)
 
     def report(self) -> None:
-        """Log what the process reported."""
+        """Log the warnings and notices that the camera process sent."""
         while not self._reports.empty():
             is_warning, camera, text = self._reports.get_nowait()
             log = self._log.warn if is_warning else self._log.info
             log(f"camera {camera} {is_warning}", text)
 
     def describe(self) -> dict[str, str]:
-        """Return the entries for diagnostics."""
+        """Return diagnostics entries: state of the process, images sent and skipped, and render time [s]."""
         return {
             "cameras": self._state,
             "camera_images": str(self._n_images),
@@ -123,13 +123,13 @@ class Cameras:
         }
 
     def close(self) -> None:
-        """End the process."""
+        """End the camera process."""
         if self._process is not None:
             self._process.close()
             self._process = None
 
     def _encode(self, job: CameraSetup | CameraFrame) -> CameraSetup | CameraFrame:
-        """Leave out the bodies that the process has, because meshes are large."""
+        """Return a job without the bodies that the process already has, because meshes are large."""
         if isinstance(job, CameraSetup) or job.bodies is None:
             return job
         sent, self._sent_bodies = self._sent_bodies, job.bodies
@@ -137,7 +137,7 @@ class Cameras:
         return attrs.evolve(job, bodies=None) if is_known else job
 
     def _receive(self, answer: dict[str, Any]) -> bool:
-        """Take an answer; return true if the process is done with its job."""
+        """Store an answer of the camera process; return true if the process is done with its job."""
         if "subscribed" in answer:
             self._subscribed = frozenset(answer["subscribed"])
         for key in ("warning", "found"):
@@ -180,7 +180,7 @@ def _declare(node: Node, topic: str, profile: QoSProfile) -> None:
 
 
 def _has_image(frame: Frame, images_per_frame: float) -> bool:
-    """Return true if an image is due in a frame: by its number, so that each run has the same images."""
+    """Return true if an image is due in a frame at a rate of images per frame, by the frame's number alone."""
     if not frame.moved:
         return True
     return math.floor(frame.index * images_per_frame) > math.floor((frame.index - 1) * images_per_frame)

@@ -20,7 +20,7 @@ _COUNT, _IS_DENSE = 4, 1
 
 
 class ImageMessage:
-    """A sensor_msgs/Image of one channel."""
+    """Serializes sensor_msgs/Image messages of one channel: depths or labels."""
 
     def __init__(self, *, frame_id: str, width: int, height: int, encoding: str) -> None:
         step = width * (4 if encoding == "32FC1" else 2)
@@ -30,12 +30,12 @@ class ImageMessage:
         self._start = _after_stamp(message)[:-_COUNT]
 
     def serialized(self, pixels: NDArray[Any], stamp: int) -> bytes:
-        """Return the CDR bytes for pixels (height, width) at a ROS time [ns]."""
+        """Return the CDR bytes of the Image for pixels (height, width) at a ROS time [ns]."""
         return _joined(stamp, self._start, pixels, bytes(-pixels.nbytes % 4))
 
 
 class PointsMessage:
-    """A sensor_msgs/PointCloud2 with a point for each pixel, NaN without one."""
+    """Serializes sensor_msgs/PointCloud2 messages with a point for each pixel, NaN for a pixel without depth."""
 
     def __init__(self, *, frame_id: str, width: int, height: int) -> None:
         message = PointCloud2(width=width, height=height, point_step=12, row_step=12 * width, is_dense=False)
@@ -48,12 +48,12 @@ class PointsMessage:
         self._start = _after_stamp(message)[: -_COUNT - _IS_DENSE]
 
     def serialized(self, points: NDArray[np.float32], stamp: int) -> bytes:
-        """Return the CDR bytes for points (height, width, 3) [m] at a ROS time [ns]."""
+        """Return the CDR bytes of the PointCloud2 for points (height, width, 3) [m] at a ROS time [ns]."""
         return _joined(stamp, self._start, points, aligned(b"\0", 4))
 
 
 class CameraInfoMessage:
-    """A sensor_msgs/CameraInfo of a camera without distortion.
+    """Serializes sensor_msgs/CameraInfo messages of a camera without distortion.
 
     Args:
         frame_id: optical frame.
@@ -74,17 +74,17 @@ class CameraInfoMessage:
         self._end = _after_stamp(message)
 
     def serialized(self, stamp: int) -> bytes:
-        """Return the CDR bytes at a ROS time [ns]."""
+        """Return the CDR bytes of the CameraInfo with a ROS time [ns] as stamp."""
         return _head(stamp) + self._end
 
 
 def millimetres(depths: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Return depths of at most 65.535 m in millimetres, 0 without a depth."""
+    """Convert depths [m], at most 65.535, to whole millimetres; NaN, which is no depth, becomes 0."""
     return np.nan_to_num(np.rint(depths * np.float32(1000.0)), copy=False, nan=0.0).astype(np.uint16)
 
 
 def _after_stamp(message: Any) -> bytes:
-    """Return the bytes of a message behind the stamp of its header, which comes first."""
+    """Serialize a message, and return the bytes that follow the stamp of its header."""
     return bytes(serialize_message(message))[len(CDR) + 8 :]
 
 

@@ -41,7 +41,7 @@ _TRIAL_TIME, _TRIAL_TIMEOUT = 1.0, 5.0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run `cloth_sim --check FILE`.
+    """Run `cloth_sim --check FILE`: print the cloth of a parameter file, or why the node would refuse it.
 
     Returns:
         Exit status: 0; 1 if the node would refuse the file; 130 if a signal ended the command.
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def check(path: str, *, node: str) -> int:
-    """Print the cloth of a parameter file as the node of a given name reads it.
+    """Print cloth, warnings, expected speed and step limit of a parameter file, as a node named `node` reads it.
 
     Returns:
         Exit status: 0; 1 if the node would refuse the file, with the node's message.
@@ -111,7 +111,7 @@ def check(path: str, *, node: str) -> int:
 
 
 def _scene(values: dict[str, Any]) -> Scene:
-    """Return the scene of parameters, with the links of a robot whose description is a file.
+    """Build the scene of parameters; links of a robot become obstacles if `robot.description_file` is set.
 
     Raises:
         ParameterError: for invalid parameters, or an invalid description.
@@ -133,7 +133,7 @@ def _scene(values: dict[str, Any]) -> Scene:
 
 
 class _PrintLog:
-    """A logger that prints the node's messages."""
+    """Logger that prints messages to standard output."""
 
     def info(self, text: str) -> None:
         print(text)
@@ -171,7 +171,7 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
 
 
 def _describe_rest_angles(scene: Scene) -> str:
-    """Return a sentence about hinges that do not rest at the angles of the rest shape; else empty."""
+    """Return a sentence on the rest angles of hinges if parameters set any; otherwise an empty text."""
     bending = scene.bending
     if bending.model in ("none", "axial") or not (bending.flat or bending.rest_angle or bending.rest_angles):
         return ""
@@ -195,7 +195,7 @@ def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
 
 
 def _print_trial(simulation: Simulation) -> None:
-    """Run the first second of the motion, and print its speed."""
+    """Simulate the first second, for at most 5 s of wall time; print integrator, frame times and real-time factor."""
     period = simulation.scene.period
     frame_times: list[float] = []
     advances: list[Advance] = []

@@ -24,7 +24,7 @@ _LONGEST_CAMERA_LEAF = f"/{qos_rules.DEPTH}"
 
 
 def refuse_values(values: Mapping[str, Any]) -> None:
-    """Refuse values that the node refuses independently of the others; report all faults together.
+    """Refuse invalid parameter values before a scene is built from them; one error names all faults.
 
     Raises:
         ParameterError: names each fault.
@@ -40,7 +40,7 @@ def refuse_values(values: Mapping[str, Any]) -> None:
 
 
 def empty_lists(empty: Iterable[str], values: Iterable[str]) -> Iterator[str]:
-    """Yield a sentence with the remedy for each parameter that is [], given the names of all parameters."""
+    """Yield an error sentence with the remedy for each parameter that is set to [], whose type ROS can't infer."""
     kinds = {entry.name: entry.kind for entry in Scene.declared_for(values)} | {_SIM_TIME: "bool"}
     for name in empty:
         remedy = f"it must be {kinds[name]}" if name in kinds else "leave it out"
@@ -52,7 +52,7 @@ def empty_lists(empty: Iterable[str], values: Iterable[str]) -> Iterator[str]:
 def check_values(
     values: Mapping[str, Any], refused: Faults, empty: Collection[str] = (), convert: Callable[[Any], Any] | None = None
 ) -> dict[str, Any]:
-    """Return the converted values of the scene's parameters among given ones, and add the faults of all.
+    """Check the scene's parameters among `values`: return them converted by name, and add faults to `refused`.
 
     Args:
         values: parameters by full name.
@@ -75,7 +75,7 @@ def check_values(
 
 
 def refuse_scene(scene: Scene, *, node: str) -> None:
-    """Refuse names that are too long for topics, and a recording folder that can't be written.
+    """Refuse a scene with names that are too long for topics, or a recording folder that can't be written.
 
     Raises:
         ParameterError: names the parameter or the folder.
@@ -98,7 +98,7 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
 
 
 def _refuse_folder(folder: Path) -> None:
-    """Refuse a folder that the recorder could not create or write; create none."""
+    """Refuse a recording folder that can't be created or written, without creating it."""
     try:
         existing = next(candidate for candidate in (folder, *folder.absolute().parents) if candidate.exists())
     except (OSError, ValueError) as error:

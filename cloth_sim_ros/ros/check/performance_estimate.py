@@ -29,7 +29,7 @@ _REPORTED_CHANGE = 0.2
 
 @attrs.frozen(kw_only=True)
 class PerformanceEstimate:
-    """Expected cost of one frame."""
+    """Expected number of steps, wall time [s] and real-time factor of one frame."""
 
     #: Smallest number of steps.
     steps: int
@@ -40,7 +40,7 @@ class PerformanceEstimate:
 
 
 def estimate_performance(*, period: float, step: float, particles: int, cost: float) -> PerformanceEstimate:
-    """Return the cost of a frame at best; accuracy may require smaller steps.
+    """Return the expected cost of a frame with the longest step; accuracy may require smaller steps.
 
     Args:
         period: simulated time of a frame [s].
@@ -54,7 +54,7 @@ def estimate_performance(*, period: float, step: float, particles: int, cost: fl
 
 
 def real_time_resolution(shape: tuple[int, int], factor: float, *, fixed_step: bool = False) -> tuple[int, int]:
-    """Return rows and columns, at least 2 each, of a grid of the same size that reaches real time with a margin.
+    """Return rows and columns, at least 2 each, at which a grid of the same extent reaches real time with a margin.
 
     The number of particles grows with the square of the rows, and the number of steps with the rows. The springs of a
     sheet keep their stiffness and its particles share the mass. Therefore the stability limit is proportional to the
@@ -109,12 +109,12 @@ class PerformanceEstimator:
         self.latest: PerformanceEstimate | None = None
 
     def calibrate(self, cost: float | None) -> None:
-        """Set the measured wall time of a step for one particle [s]; None changes nothing."""
+        """Scale estimates by the measured wall time of a step for one particle [s]; None changes nothing."""
         if cost is not None:
             self._cost_ratio = cost / self._cost
 
     def report(self) -> None:
-        """Log the present estimate if it differs from the last one logged."""
+        """Log the expected real-time factor if it changed by over 20 % or crossed 1; below 1 with a remedy."""
         self.latest = self._estimate()
         if self.latest is None:
             return
@@ -142,7 +142,7 @@ class PerformanceEstimator:
             self._logger.warning(f"{text}. Real time is not held{when}: {self._remedy(factor)}")
 
     def describe(self) -> dict[str, str]:
-        """Return the newest estimate, for diagnostics."""
+        """Return the newest expected real-time factor as a diagnostics entry."""
         return {"real_time_factor_expected": "unknown" if self.latest is None else f"{self.latest.factor:.4g}"}
 
     def _estimate(self) -> PerformanceEstimate | None:
@@ -157,7 +157,7 @@ class PerformanceEstimator:
         )
 
     def _contact_factors(self, factor: float) -> dict[str, float]:
-        """Return the expected real-time factors with contact, by the condition as text.
+        """Return the expected real-time factors in contact, by a text that names the condition.
 
         A fixed step has none: it stays as it is, and the cost model includes contact.
         """

@@ -30,7 +30,7 @@ _BLOCK = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 @attrs.frozen(kw_only=True)
 class StepLimiters:
-    """Elements that limit the step at given positions."""
+    """Stability limit of the step at given positions, and the particle, force and stiff particles that set it."""
 
     #: Longest stable step of the leapfrog by the bounds [s]; infinite without a bound.
     limit: float
@@ -46,10 +46,10 @@ class StepLimiters:
 
 
 def find_step_limiters(plan: Plan, x: Array) -> StepLimiters:
-    """Find the elements that limit the step at positions x [m], shape (3, n)."""
+    """Find the step's stability limit and the particles that set it, at positions x [m], shape (3, n)."""
     model = plan.model
     moving = np.flatnonzero(model.inverse_masses > 0.0)
-    limits = _limits(plan, x)[moving]
+    limits = _step_limits(plan, x)[moving]
     order = np.argsort(limits, kind="stable")
     if not len(order) or not np.isfinite(limits[order[0]]):
         return StepLimiters(limit=float("inf"), particle=None)
@@ -58,7 +58,7 @@ def find_step_limiters(plan: Plan, x: Array) -> StepLimiters:
     gain = float(limits[order[min(n_stiff, len(order) - 1)]]) / limit
     # Name only particles whose limit is clearly below the one without them.
     stiff = [k for k in order[:n_stiff] if limits[k] * MIN_GAIN <= gain * limit]
-    force, share = _stiffest(model, x, particle)
+    force, share = _stiffest_force(model, x, particle)
     return StepLimiters(
         limit=limit,
         particle=particle,
@@ -70,7 +70,7 @@ def find_step_limiters(plan: Plan, x: Array) -> StepLimiters:
 
 
 def describe_step_limiters(limiters: StepLimiters, sheet: Sheet) -> list[str]:
-    """Return the step limiters as sentences."""
+    """Return sentences on the step's stability limit, and on the edges and triangles that set it."""
     if limiters.particle is None:
         return ["nothing bounds the step by its stability"]
     lines = [
@@ -94,29 +94,29 @@ def describe_step_limiters(limiters: StepLimiters, sheet: Sheet) -> list[str]:
     return lines
 
 
-def _limits(plan: Plan, x: Array) -> Array:
-    """Return the longest stable step by the bounds of each particle [s], shape (n,)."""
+def _step_limits(plan: Plan, x: Array) -> Array:
+    """Return for each particle the longest step that its bounds of stiffness and damping allow [s], shape (n,)."""
     stiff, damped = np.zeros((2, 6, plan.model.particle_count))
     plan.add_bounds(x, stiff, damped, memory={})
-    omega2, rates = (np.maximum(_largest(blocks), 0.0) / plan.model.masses for blocks in (stiff, damped))
+    omega2, rates = (np.maximum(_largest_eigenvalues(blocks), 0.0) / plan.model.masses for blocks in (stiff, damped))
     # As `leapfrog_limit`.
     with np.errstate(divide="ignore"):
         return np.asarray(2.0 / (0.5 * rates + np.sqrt(0.25 * rates * rates + omega2)))
 
 
-def _largest(blocks: Array) -> Array:
-    """Return the largest eigenvalues of blocks (6, n), shape (n,)."""
+def _largest_eigenvalues(blocks: Array) -> Array:
+    """Return the largest eigenvalue of each symmetric 3x3 block, from blocks (6, n); shape (n,)."""
     return np.asarray(np.linalg.eigvalsh(blocks[_BLOCK].transpose(2, 0, 1))[:, -1])
 
 
-def _stiffest(model: Model, x: Array, particle: int) -> tuple[str, float]:
+def _stiffest_force(model: Model, x: Array, particle: int) -> tuple[str, float]:
     """Return the name of the force with the largest share of a particle's stiffness, and the share."""
     stiffness: dict[str, float] = {}
     for force in model.forces:
         if not isinstance(force, Gravity | Drag | Wind | Grips):
             stiff, damped = np.zeros((2, 6, model.particle_count))
             compile(Model(model.masses, [force])).add_bounds(x, stiff, damped, memory={})
-            stiffness[force.name] = float(_largest(stiff[:, [particle]])[0])
+            stiffness[force.name] = float(_largest_eigenvalues(stiff[:, [particle]])[0])
     total = sum(stiffness.values())
     if not total:
         return "", 0.0
@@ -125,7 +125,7 @@ def _stiffest(model: Model, x: Array, particle: int) -> tuple[str, float]:
 
 
 def _describe_elements(sheet: MeshSheet, particles: tuple[int, ...]) -> list[str]:
-    """Return sentences on the shortest edges and the flattest triangles at particles."""
+    """Return sentences on the shortest edges and the flattest triangles of a mesh at given particles."""
     edges = sheet.surface.edges
     lengths = _norms(sheet.rest_positions[edges[:, 1]] - sheet.rest_positions[edges[:, 0]])
     edge_ids = np.flatnonzero(np.isin(edges, particles).any(axis=1))

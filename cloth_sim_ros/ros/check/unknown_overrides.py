@@ -20,7 +20,7 @@ _MAX_SINGLE = 3
 def unknown_sentences(
     names: Iterable[str], known: Iterable[str], scene: Scene, *, node: str, resolve: Callable[[str], str] | None = None
 ) -> list[str]:
-    """Return warnings of parameters that a node does not read.
+    """Return a warning for each parameter that is set but that the node does not read.
 
     Overrides of another node's topics, as in a parameter dump of that node, share one sentence.
 
@@ -45,18 +45,18 @@ def unknown_sentences(
     single = [name for name in unknown if name not in grouped]
     if resolve is None:
         single = [name for name in single if not name.startswith(QOS_PREFIX)]
-    of_dumps = [_of_dump(owner, len(overrides), node) for owner, overrides in dumps.items()]
-    return of_dumps + _of_names(single, declared)
+    of_dumps = [_describe_dump(owner, len(overrides), node) for owner, overrides in dumps.items()]
+    return of_dumps + _describe_unknown(single, declared)
 
 
-def _of_dump(owner: str, count: int, node: str) -> str:
+def _describe_dump(owner: str, count: int, node: str) -> str:
     return (
         f"{count} parameters qos_overrides.{owner}/... are of topics of {owner}, as in a parameter dump of that node, "
         f"and have no effect in {node}: write {node}/ for {owner}/ in their names, or leave them out"
     )
 
 
-def _of_names(names: list[str], known: Collection[str]) -> list[str]:
+def _describe_unknown(names: list[str], known: Collection[str]) -> list[str]:
     if len(names) <= _MAX_SINGLE:
         return [
             f"there is no parameter '{name}', what sets it has no effect{suggestion(name, known)}" for name in names

@@ -23,7 +23,7 @@ _Messages = list[tuple[int, bytes]]
 
 
 def bag_scripts(path: Path, *, gripper: str | None = None, topic: str | None = None) -> list[GripperScript]:
-    """Read the scripts of a bag's grippers, which start together at the first pose.
+    """Read the poses and grasps of a bag's grippers as scripts, which start together at the first pose.
 
     The poses of a gripper are on `<gripper>/target`, or on `<gripper>/pose`, and its grasps (Bool) on
     `<gripper>/grasp`. Without grasps it is closed from its first pose on. Sessions have these topics too.
@@ -49,7 +49,7 @@ def bag_scripts(path: Path, *, gripper: str | None = None, topic: str | None = N
 
 
 def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, _Messages]]:
-    """Return the messages of each topic of poses, and of each topic of grasps."""
+    """Return the messages of a bag's topics of poses (PoseStamped), and of grasps (Bool), by topic."""
     from cloth_sim_ros.session.bag import bag_files, bag_messages
 
     by_kind: dict[str, dict[str, _Messages]] = {_POSE: {}, _BOOL: {}}
@@ -61,7 +61,7 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, _Message
 
 
 def _select_topics(poses: Mapping[str, _Messages], gripper: str | None, topic: str | None) -> dict[str, str]:
-    """Return the topic of the poses of each gripper."""
+    """Return by gripper the topic of its poses; refuse a choice that is empty or ambiguous."""
     if topic is not None:
         if topic not in poses:
             raise ScriptError(f"there is no topic '{topic}' of poses (PoseStamped); there are {_listed(poses)}")
@@ -95,7 +95,7 @@ def _listed(topics: Mapping[str, _Messages]) -> str:
 def _script(
     gripper: str, topic: str, messages: _Messages, grasps: Mapping[str, _Messages]
 ) -> tuple[int, GripperScript]:
-    """Return the stamp of the first pose [ns], and the script that begins there."""
+    """Build a gripper's script from its messages; return the stamp of the first pose [ns], and the script."""
     from cloth_sim_ros.session.cdr import decode
 
     rows = dict[int, list[float]]()
@@ -124,7 +124,7 @@ def _script(
 def _grasps(
     gripper: str, topic: str, logged: Sequence[int], seconds: Sequence[float], grasps: Mapping[str, _Messages]
 ) -> tuple[TimedGrasp, ...] | None:
-    """Return the grasps of a gripper, or None if the bag has none.
+    """Return the grasps of a gripper at their script times, or None if the bag has none.
 
     A Bool has no stamp. Its time is that of the poses with the same log time, because both are sent by one node.
     """
@@ -148,7 +148,7 @@ def _grasps(
 
 
 def _delayed(script: GripperScript, delay: float) -> GripperScript:
-    """Return a script that begins later [s]."""
+    """Return a script whose waypoints and grasps come later by a delay [s]."""
     if not delay:
         return script
     return attrs.evolve(

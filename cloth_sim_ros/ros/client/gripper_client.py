@@ -30,7 +30,7 @@ _DELIVERY_TIMEOUT = Duration(seconds=0.5)
 
 @attrs.frozen
 class GraspReport:
-    """Result of one closing of the gripper."""
+    """Result of one closing of a gripper: number of particles held, and the node's message."""
 
     #: Number of particles held; None if the node did not answer.
     held: int | None
@@ -39,7 +39,7 @@ class GraspReport:
 
 
 def describe_holds(holds: Sequence[GraspReport]) -> str:
-    """Return the results of grasps as text, in order."""
+    """Return the results of a script's closings as text, in order."""
     if not holds:
         return "the script closes nothing"
     return "; ".join(_describe_report(hold) for hold in holds)
@@ -52,7 +52,7 @@ def _describe_report(hold: GraspReport) -> str:
 
 
 class GripperClient:
-    """Plays a script to one gripper of a cloth's node.
+    """Plays the script of one gripper: publishes its targets and grasps, and receives the results of grasps.
 
     All times are in the cloth's time [s].
 
@@ -89,7 +89,7 @@ class GripperClient:
         return bool(listens and self._status is not None)
 
     def open(self) -> None:
-        """Ask the node to open the gripper.
+        """Publish a grasp that opens the gripper; `is_open` is true once the node has answered it.
 
         This node has matched the node's subscriptions. Its middleware may need seconds longer to match these
         publishers, and targets, sent as best effort, would not arrive until then. The grasp is reliable, and its
@@ -105,14 +105,14 @@ class GripperClient:
         return self._status_if(closed=False) is not None
 
     def limit_time(self, elapsed: float, now: float) -> float:
-        """Return the script time that may be reached [s], at most `elapsed`, the time since the script's start [s].
+        """Return the script time that may be played [s]: `elapsed`, but not beyond a closing without its result.
 
         Until the result of the last closing is known, the gripper stays at its position.
         """
         return elapsed if self._is_answered(now) else min(elapsed, self._hold_until)
 
     def send_commands(self, elapsed: float, now: float) -> None:
-        """Send the target and the due grasps, at a time since the script's start [s]."""
+        """Publish the target at a script time [s], and the due grasps; a grasp waits for the previous result."""
         self._send_target(min(elapsed, self.script.duration))
         # The result of the last grasp must be known before the gripper opens again.
         while self.pending and self.pending[0].time <= elapsed and self._is_answered(now):
@@ -132,7 +132,7 @@ class GripperClient:
         self._grasps.wait_for_all_acked(_DELIVERY_TIMEOUT)
 
     def _is_answered(self, now: float) -> bool:
-        """Return true if the result of the last closing is known, and append its report."""
+        """Return true if the result of the last closing is known or overdue, and append its report."""
         if self._answer_deadline is None:
             return True
         status = self._status_if(closed=True)
@@ -150,7 +150,7 @@ class GripperClient:
         self._status = dict(old_keys.current_entries(pairs, old_keys.GRIPPER_STATE)) | {"words": str(status.message)}
 
     def _status_if(self, *, closed: bool) -> dict[str, str] | None:
-        """Return the state since it was last cleared if it is of a closed, or open, gripper; otherwise None."""
+        """Return the gripper's state published since the last command, if it says closed (or open); else None."""
         status = self._status
         return status if status is not None and status.get("closed") == str(closed).lower() else None
 

@@ -30,7 +30,7 @@ _MAX_STANDING = 30.0
 
 
 class NodeTime:
-    """The ROS time of the client's node, in the place of the cloth's simulated time."""
+    """ROS time of the client's node as the time of scripts, if no `ClothTime` is given."""
 
     period = 0
     send_time = 0.0
@@ -39,11 +39,11 @@ class NodeTime:
         self._clock = node.get_clock()
 
     def now(self) -> int:
-        """Return the time [ns]."""
+        """Return the ROS time [ns]."""
         return int(self._clock.now().nanoseconds)
 
     def describe(self) -> str:
-        """Return why the time stands, as the end of a sentence."""
+        """Return why the client's ROS time stands, as the end of a sentence."""
         return "is not heard: the clock of this node stands"
 
 
@@ -88,7 +88,7 @@ class GripperPlayer:
         self._executor.add_node(node)
 
     def wait_for_grippers(self, limit: float) -> bool:
-        """Wait until the cloth's node serves the grippers, and open them; return false if ended early.
+        """Wait until the cloth's node serves the grippers, and open them; return false if `should_continue` ends it.
 
         Args:
             limit: longest wait [s].
@@ -139,7 +139,7 @@ class GripperPlayer:
         return False
 
     def play(self, *, standing: float = _MAX_STANDING) -> bool:
-        """Play the scripts in the time of the cloth; return false if ended early.
+        """Play the scripts in the time of the cloth; return false if `should_continue` ends it.
 
         A gripper stays at the position of a closing until the result is known. If the result is late, or if this
         process was suspended during a grasp, all scripts are delayed by as much. Otherwise a gripper would close beside
@@ -179,13 +179,13 @@ class GripperPlayer:
         return False
 
     def _wait_to_send(self, now: int) -> int:
-        """Wait until the send time of the target for a time [ns], or until a newer time; return the newest [ns]."""
+        """Wait until the target for a script time [ns] is to be sent, or a newer time comes; return the newest [ns]."""
         while (remaining := self._script_time.send_time - time.monotonic()) > 0.0 and self._script_time.now() == now:
             self._executor.spin_once(timeout_sec=remaining)
         return self._script_time.now() or now
 
     def _newest_time(self) -> int | None:
-        """Return the script time [ns] after all arrived messages were taken.
+        """Take all arrived messages; return the newest script time [ns], or None before the first.
 
         A spin delivers one message of a topic. Without this loop a client that was suspended would send several targets
         for one frame.
@@ -199,7 +199,7 @@ class GripperPlayer:
         return now
 
     def _advance(self, now: int, elapsed: float, period: float) -> bool:
-        """Send the due commands; return true if the scripts have ended.
+        """Send the commands due at a script time; return true if the scripts have ended.
 
         Args:
             now: script time [ns].
@@ -234,7 +234,7 @@ class GripperPlayer:
         return True
 
     def _missed_time(self, played: float, elapsed: float, period: float) -> float:
-        """Return the delay of the scripts because frames have passed without a target [s].
+        """Return the time by which scripts are set back because frames have passed without a target [s].
 
         A gripper that caught up would be twice as fast for a frame. A cloth faster than real time has several frames
         between two targets; this causes no delay.
@@ -254,7 +254,7 @@ class GripperPlayer:
         return played - step
 
     def _is_served(self) -> bool:
-        """Return true if the node is ready: it serves more than the services that rclpy creates with each node.
+        """Return true if the cloth's node is ready: it serves more than the services that rclpy creates with it.
 
         The check uses the names of services, not that of the node. A killed node stays in the graph for some seconds,
         and a query by node name may return it instead of its successor.

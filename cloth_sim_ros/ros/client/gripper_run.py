@@ -28,7 +28,7 @@ _BAG_ENDINGS = (".mcap", ".db3", ".bag")
 
 
 def run(argv: Sequence[str], signals: StopSignals) -> int:
-    """Run the command.
+    """Run `cloth_gripper`: parse the command line, start rclpy, and play the scripts.
 
     Args:
         argv: the command line, the program's name first.
@@ -99,7 +99,7 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
 
 
 def _read_scripts(options: argparse.Namespace) -> list[GripperScript]:
-    """Return the scripts of the command line.
+    """Read the scripts that the command line names, as YAML, CSV, bag or session.
 
     Raises:
         ScriptError: for a file that can't be played, or options that do not fit it.

@@ -43,7 +43,7 @@ _SILENCE = 5.0
 
 
 class ViewerFeed:
-    """Subscribes to a cloth's outputs, and forwards them.
+    """Subscribes to the topics of a cloth's node, and forwards their bytes and the node's parameters to `send`.
 
     A topology restarts the feed: the node may have other grippers now. Then the parameters are read, and the
     other topics are subscribed to, so that their latched messages come after them.
@@ -107,7 +107,7 @@ class ViewerFeed:
             self._log.warning(f"nothing has come on {self._target}/topology for {_SILENCE:g} s{listed}")
 
     def _request(self, names: Sequence[str], receive: Callable[[dict[str, Any]], object]) -> None:
-        """Request parameters, and pass those that are set, unless others have come by then."""
+        """Request parameters of the node; pass them to `receive`, unless a newer topology came meanwhile."""
         topology_count, self._requested = self._n_topologies, {*names}
 
         def done(future: Any) -> None:
@@ -130,7 +130,7 @@ class ViewerFeed:
         return [f"{name}.{leaf}" for name in grippers if name for leaf in _GRIPPER_PARAMETERS]
 
     def _discovered(self) -> list[str]:
-        """Return the names of the grippers whose topics are known: a busy node takes long to answer each request."""
+        """Return the names of the grippers whose topics are discovered, without a request to the node."""
         topics = (topic.removeprefix(f"{self._target}/").split("/") for topic in self._topics())
         return [parts[0] for parts in topics if parts[1:] == ["state"]]
 

@@ -25,7 +25,7 @@ _POLL = 0.1
 
 
 def run(argv: Sequence[str], target: str, drawing: subprocess.Popen[bytes], signals: StopSignals) -> int:
-    """Forward messages until the drawing process ends, or a signal comes.
+    """Forward a node's messages to the drawing process until that process ends or a signal comes.
 
     Args:
         argv: the command line, the program's name first.

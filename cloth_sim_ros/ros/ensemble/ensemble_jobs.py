@@ -14,7 +14,7 @@ from cloth_sim_ros.simulation.events import Event
 
 @attrs.frozen(eq=False)
 class EnsembleStart:
-    """Scene and state at which the members start."""
+    """Scene and state of the cloth at which the ensemble's members start."""
 
     #: Parameters of the scene by full name, and content of its files by name.
     parameters: dict[str, Any]
@@ -24,7 +24,7 @@ class EnsembleStart:
 
 @attrs.frozen(eq=False)
 class EnsembleStep:
-    """A frame that the members run too."""
+    """A frame of the cloth that the ensemble's members compute too."""
 
     index: int
     #: ROS time at which it was due [ns].

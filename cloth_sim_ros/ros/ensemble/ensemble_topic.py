@@ -36,7 +36,7 @@ _RESTART_DELAY = 1.0
 
 
 class EnsembleTopic:
-    """Runs an ensemble beside the cloth. It starts at the cloth's state in the first frame.
+    """Publishes on ~/ensemble the mean and deviation of an ensemble, which a child process runs beside the cloth.
 
     Args:
         node: the node.
@@ -75,24 +75,24 @@ class EnsembleTopic:
         self._ends: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def start(self) -> None:
-        """Start the process."""
+        """Start the ensemble process."""
         self._process = WorkerProcess(
             _WORKER_MODULE, name="ensemble", encode=self._encode, on_answer=self._receive, on_end=self._end
         )
 
     def before_frame(self) -> None:
-        """Keep the state of the cloth if the members may start in the next frame."""
+        """Copy the cloth's state if the members may start in the next frame."""
         simulation = self._simulation
         if self._must_start and self._is_alive and simulation.frame >= self._next_start:
             self._before = simulation.scene, simulation.state.shallow_copy()
 
     def labels(self, frame: Frame) -> dict[str, Any]:
-        """Return the entry of a frame's record: whether the members start with it."""
+        """Return the entry of a frame's record if the members start with this frame; otherwise an empty dict."""
         starts = self._before is not None and self._is_alive and _has_effect(frame)
         return {"ensemble": "start"} if starts else {}
 
     def add(self, frame: Frame, stamp: int) -> None:
-        """Pass a frame that was due at a ROS time [ns] on."""
+        """Queue a frame that was due at a ROS time [ns] for the ensemble process."""
         if self._process is None or not _has_effect(frame) or not self._is_alive:
             return
         start, self._before, self._newest = self._before, None, frame.index
@@ -115,7 +115,7 @@ class EnsembleTopic:
         self._process.put(True)
 
     def send(self, stamp: int) -> None:
-        """Publish and record the frames that the members have reached by a ROS time [ns]; each has its own stamp."""
+        """Publish and record the clouds that the process has finished; drop those 0.9 s older than `stamp` [ns]."""
         while not self._answers.empty():
             answer = self._answers.get_nowait()
             self._n_skipped += answer["steps"]
@@ -131,7 +131,7 @@ class EnsembleTopic:
                 self._warn_of_lag((stamp - answer["stamp"]) / 1e9, answer["members"])
 
     def report(self) -> None:
-        """Log the end of the process."""
+        """Log a warning if the ensemble process has ended."""
         while not self._ends.empty():
             self._log.warn(
                 "ensemble", f"~/ensemble ends: its process {self._ends.get_nowait()}; the cloth goes on. Restart "
@@ -139,7 +139,7 @@ class EnsembleTopic:
             )  # fmt: skip
 
     def describe(self) -> dict[str, str]:
-        """Return the entries for diagnostics."""
+        """Return diagnostics entries: state of the process, counts of frames, deviation [m] and lag [s]."""
         period, latest = self._simulation.scene.period, self._latest
         values = {
             "ensemble": self._state,
@@ -158,7 +158,7 @@ class EnsembleTopic:
         return values
 
     def close(self) -> None:
-        """End the process."""
+        """End the ensemble process."""
         if self._process is not None:
             self._process.close()
             self._process = None
@@ -182,7 +182,7 @@ class EnsembleTopic:
             )
 
     def _encode(self, _: bool) -> list[EnsembleStep]:
-        """Take all waiting frames from the queue, as the request to the process."""
+        """Remove all waiting frames from the queue, and return them as one job of the process."""
         steps = []
         # The node's thread may clear them meanwhile.
         with contextlib.suppress(IndexError):

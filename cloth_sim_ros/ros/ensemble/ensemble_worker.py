@@ -37,13 +37,13 @@ _POLL_SECONDS = 0.25
 
 
 class EnsembleWorker:
-    """The ensemble of one node."""
+    """Runs the ensemble of one node in the ensemble process."""
 
     def __init__(self) -> None:
         self._ensemble: Ensemble | None = None
 
     def advance(self, steps: Sequence[EnsembleStep]) -> dict[str, Any]:
-        """Advance the members by some frames; return the answer."""
+        """Advance the members by the given frames; answer with the newest cloud or the reason of a failure."""
         answer: dict[str, Any] = {"steps": len(steps)}
         start_time, frame = time.perf_counter(), None
         for step in steps:
@@ -82,7 +82,7 @@ class EnsembleWorker:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Advance the ensemble until the input ends; return the exit status."""
+    """Run the ensemble process: advance the members until the input ends; return the exit status."""
     threading.Thread(target=_exit_with_parent, args=(int(arguments[0]),), daemon=True).start()
     os.nice(_NICENESS)
     worker = EnsembleWorker()

@@ -82,7 +82,7 @@ class CommandSubscriptions:
         self.received = self.refused = self.outdated = 0
 
     def subscribe(self) -> None:
-        """Subscribe to the topics of the grippers. From then on every matched publisher is served."""
+        """Subscribe to the command topics of the grippers. From then on every matched publisher is served."""
         if self._grippers and self._scene.gripper.twist_max_speed:
             from cloth_sim_ros.ros.io.twists import TwistCommands
 
@@ -99,7 +99,7 @@ class CommandSubscriptions:
                 self._create_subscription(gripper, leaf, kind, qos, on_message)
 
     def subscribe_obstacles(self, names: list[str]) -> None:
-        """Subscribe to the targets of the present obstacles, and unsubscribe from those of removed ones."""
+        """Subscribe to the targets of the named obstacles, and unsubscribe from those of all others."""
         for name in [name for name in self._obstacles if name not in names]:
             self._node.destroy_subscription(self._obstacles.pop(name))
             del self._gates[name]
@@ -143,11 +143,11 @@ class CommandSubscriptions:
         self._log.warn(f"misfit {topic}", f"a publisher of {topic} {fault}")
 
     def last_target_time(self, gripper: str) -> int | None:
-        """Return the ROS time at which the newest target of a gripper or obstacle came [ns]; None before the first."""
+        """Return the ROS time at which the newest target or twist of a gripper came [ns]; None before the first."""
         return self._last_target_times.get(gripper)
 
     def is_drained(self) -> bool:
-        """Return true if all arrived commands were taken: the last spin of the executor delivered none.
+        """Return true if the executor's last spin delivered no command, or ten spins in a row delivered some.
 
         If it is false, call it again after one more spin.
         """
@@ -160,7 +160,7 @@ class CommandSubscriptions:
         return True
 
     def reset_stamps(self) -> None:
-        """Accept any stamp next, because the clock or the cloth was set back."""
+        """Forget stamps and velocities because time was set back: commands of any stamp are accepted next."""
         for gate in self._gates.values():
             gate.reset()
         self._last_target_times.clear()
@@ -240,7 +240,7 @@ class CommandSubscriptions:
         self._log.debug(functools.partial(_describe_command, event, 0))
 
     def _report_result(self, result: EventResult) -> None:
-        """Log the result of a grasp: a topic has no other answer."""
+        """Log the result of a grasp that came by a topic, unless its pads still move."""
         grasp = result.grasp
         if grasp is None:
             self._log.warn("grasp lost", f"a grasp did not take effect: {result.reason}")
@@ -264,6 +264,6 @@ class CommandSubscriptions:
 
 
 def _describe_command(event: Event, stamp: int) -> str:
-    """Return a command's text for DEBUG lines."""
+    """Return the text of a received command for DEBUG lines."""
     when = f"stamped {stamp / 1e9:.3f} s" if stamp else "for now"
     return f"command received, {when}: {event}"

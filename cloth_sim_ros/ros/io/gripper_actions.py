@@ -43,7 +43,7 @@ class GoalError(ValueError):
 
 @attrs.frozen
 class Command:
-    """A goal in the gripper's own quantities."""
+    """Goal of a gripper's action as fraction of its opening, with limits of force [N] and speed."""
 
     #: Position of the joint [rad or m], as a fraction of its way from closed (0) to open (1).
     fraction: float
@@ -56,8 +56,8 @@ class Command:
 
 
 @attrs.frozen
-class JointState:
-    """State of a gripper in the quantities of its joint."""
+class GripperJointState:
+    """Position, velocity and force of a gripper's joint, for feedback and results of its action."""
 
     #: Position [rad or m], velocity, and force of each pad [N].
     position: float
@@ -67,7 +67,7 @@ class JointState:
 
 @attrs.define(eq=False)
 class _Goal:
-    """An accepted goal until its end."""
+    """Accepted goal of a gripper's action that has not ended."""
 
     server_handle: Any
     gripper: str
@@ -82,7 +82,7 @@ class _Goal:
 
 
 class GripperActions:
-    """Action servers of the grippers that have one; `serve` creates them.
+    """Serves the action ~/<gripper>/gripper_cmd of grippers that have one; `serve` creates the servers.
 
     Args:
         node: the node.
@@ -106,7 +106,7 @@ class GripperActions:
         self._wrench_forces: list[float] = [0.0] * len(simulation.scene.gripper_names)
 
     def serve(self) -> None:
-        """Create the servers, or log that control_msgs is missing."""
+        """Create the action servers, or log that control_msgs is missing."""
         scene = self._simulation.scene
         kinds = {name: scene.of_gripper(name, "action") for name in scene.gripper_names}
         requested = {name: kind for name, kind in kinds.items() if kind != NO_ACTION}
@@ -133,13 +133,13 @@ class GripperActions:
             self._servers.append(server)
 
     def close(self) -> None:
-        """Remove the servers."""
+        """Destroy the action servers."""
         for server in self._servers:
             server.destroy()
         self._servers.clear()
 
     def answer(self, frame: Frame) -> None:
-        """Send the feedback of a frame, and the results of goals that ended in it."""
+        """After a frame, publish the feedback of goals in progress, and the results of those that ended."""
         if not self._goals:
             return
         self._wrench_forces = [math.hypot(*wrench[:3]) for wrench in frame.wrenches.tolist()]
@@ -147,7 +147,7 @@ class GripperActions:
             self._advance(goal, frame)
 
     def fail(self, reason: str, _stamp: int) -> None:
-        """Abort all goals, because a frame failed."""
+        """Abort all goals in progress, because a frame failed."""
         for goal in list(self._goals.values()):
             self._end(goal, _ABORTED, f"failed: {reason}")
 
@@ -192,7 +192,7 @@ class GripperActions:
         return CancelResponse.REJECT
 
     async def _execute(self, handle: Any) -> Any:
-        """Wait for the end of a goal, and return its result."""
+        """Wait for the end of an accepted goal, and return its result to the action's client."""
         status, result = await self._results.pop(bytes(handle.goal_id.uuid)).done
         if status == _CANCELED and handle.is_cancel_requested:
             handle.canceled()
@@ -203,7 +203,7 @@ class GripperActions:
         return result
 
     def _put(self, goal: _Goal) -> None:
-        """Queue the newest event of a goal."""
+        """Queue the newest grasp event of a goal; abort the goal if the event takes no effect."""
         event = goal.event
 
         def answer(outcome: EventResult) -> None:
@@ -216,7 +216,7 @@ class GripperActions:
             self._end(goal, _ABORTED, str(error))
 
     def _advance(self, goal: _Goal, frame: Frame) -> None:
-        """Send a goal's feedback of a frame, or its result."""
+        """End a goal if a frame decided it; otherwise publish its feedback."""
         gripper, grasps = goal.gripper, [event for event in frame.events if isinstance(event, Grasp)]
         newest = [event for event in grasps if event.gripper == gripper][-1:]
         if newest and newest[0] is not goal.event:
@@ -233,7 +233,7 @@ class GripperActions:
             goal.server_handle.publish_feedback(feedback)
 
     def _result(self, goal: _Goal, frame: Frame, has_begun: bool) -> GraspResult | None:
-        """Return the result of a goal's grasp if it has one after a frame."""
+        """Return the result of a goal's grasp if a frame completed it; otherwise None."""
         results = [result for result in frame.pinches if result.gripper == goal.gripper]
         if has_begun:
             results = [result for result in frame.grasps if result.gripper == goal.gripper and not result.pending]
@@ -241,7 +241,7 @@ class GripperActions:
         return results[-1] if results else None
 
     def _end_grasp(self, goal: _Goal, grasp: GraspResult) -> None:
-        """End a goal by the result of its grasp."""
+        """End a goal as succeeded or aborted, by the result of its grasp."""
         scene, grippers = self._simulation.scene, self._simulation.grippers
         if grasp.closed and not grippers.is_placed(grippers.names.index(goal.gripper)):
             self._end(goal, _ABORTED, grasp.reason)
@@ -265,7 +265,7 @@ class GripperActions:
             self._log.info(f"goal {goal.gripper} {reason}", f"goal of gripper '{goal.gripper}' is {status}: {reason}")
 
     def _fill(self, message: Any, goal: _Goal, *, stalled: bool, reached: bool) -> None:
-        """Write the present state of a gripper into a feedback or result."""
+        """Write the present state of a gripper into a feedback or result message of its action."""
         state = self._state(goal)
         if hasattr(message, "state"):
             joints = goal.command.joints
@@ -279,19 +279,19 @@ class GripperActions:
         if hasattr(message, "stalled"):
             message.stalled, message.reached_goal = stalled, reached
 
-    def _state(self, goal: _Goal) -> JointState:
+    def _state(self, goal: _Goal) -> GripperJointState:
         simulation, gripper = self._simulation, goal.gripper
         closed, opened = joint_range(simulation, gripper)
         if simulation.pinching is not None and simulation.scene.pinches(gripper):
             gap, rate, force = simulation.pinching.drive(gripper)
             scale = (opened - closed) / simulation.scene.gripper.opening
-            return JointState(closed + scale * gap, scale * rate, abs(force))
+            return GripperJointState(closed + scale * gap, scale * rate, abs(force))
         index = simulation.grippers.names.index(gripper)
         is_closed = simulation.grippers.is_closed(index)
-        return JointState(closed if is_closed else opened, 0.0, self._wrench_forces[index])
+        return GripperJointState(closed if is_closed else opened, 0.0, self._wrench_forces[index])
 
     def _read(self, gripper: str, request: Any) -> Command:
-        """Return the command of a goal.
+        """Convert a goal message of either action type to a command.
 
         Raises:
             GoalError: for a goal that the gripper can't follow.
@@ -304,7 +304,7 @@ class GripperActions:
         return read_command(command.position, command.effort, command.velocity, command.name or [gripper], limits)
 
     def _grasp(self, gripper: str, command: Command) -> Grasp:
-        """Return the event of a command."""
+        """Return the grasp event that executes a command."""
         scene, pinching = self._simulation.scene, self._simulation.pinching
         if pinching is None or not scene.pinches(gripper):
             return Grasp(gripper, command.fraction < 0.5)
@@ -322,7 +322,7 @@ class GripperActions:
         return Grasp(gripper, closes, opening, command.force, max(speed, MIN_PAD_SPEED) if speed else 0.0)
 
     def _hold(self, gripper: str) -> Grasp:
-        """Return the event that stops pads where they are."""
+        """Return the grasp event that stops pads at their present opening."""
         pinching, scene = self._simulation.pinching, self._simulation.scene
         assert pinching is not None
         _, force, speed = pinching.setpoint(gripper)
@@ -335,7 +335,7 @@ class GripperActions:
 
 
 def joint_range(simulation: Simulation, gripper: str) -> tuple[float, float]:
-    """Return the positions of a gripper's joint when it is closed and when it is open."""
+    """Return the joint positions of the closed and of the open gripper [rad or m]."""
     closed, opened = simulation.scene.of_gripper(gripper, "joint_range")
     return (closed, opened) if closed != opened else (0.0, simulation.scene.gripper.opening)
 
@@ -347,7 +347,7 @@ def read_command(
     joints: Sequence[str],
     limits: tuple[float, float],
 ) -> Command:
-    """Return a command from the fields of a goal.
+    """Convert the fields of a goal to a command, and refuse invalid ones.
 
     Args:
         positions: position of each joint, all equal.

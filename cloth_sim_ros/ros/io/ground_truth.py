@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class KeypointTopic:
-    """Poses of the keypoints of a cloth, in the order of `keypoints`.
+    """Publishes the poses of the cloth's keypoints on ~/keypoints, in the order of the parameter `keypoints`.
 
     Args:
         node: the node.
@@ -36,7 +36,7 @@ class KeypointTopic:
         self.output = Output(node, PoseArray, "~/keypoints", sink, qos=NEWEST_QOS)
 
     def send(self, stamp: int) -> None:
-        """Publish the poses at a ROS time [ns], if the topic has subscribers."""
+        """Publish the poses of the keypoints at a ROS time [ns], if the topic has subscribers."""
         if not self.output.has_subscribers:
             return
         message = PoseArray()
@@ -50,7 +50,7 @@ class KeypointTopic:
 
 
 class CoverageTopic:
-    """Area of a plane that a cloth covers.
+    """Publishes on ~/coverage the area of a plane that the cloth covers.
 
     Args:
         node: the node.
@@ -63,13 +63,13 @@ class CoverageTopic:
         self.output = Output(node, Float64, "~/coverage", sink, qos=NEWEST_QOS)
 
     def send(self, _stamp: int) -> None:
-        """Publish the area [m^2], if the topic has subscribers."""
+        """Publish the covered area [m^2], if the topic has subscribers."""
         if self.output.has_subscribers:
             area = self.coverage.area(self._simulation.state.x, self._pose())
             self.output.publish(bytes(serialize_message(Float64(data=area))))
 
     def _pose(self) -> Array:
-        """Return the obstacle's present pose, or its described one if it is not in the scene."""
+        """Return the present pose of the obstacle with the plane, or the described one if it is not in the scene."""
         name, obstacles = self.coverage.obstacle, self._simulation.obstacles
         if obstacles is not None and name in obstacles.names:
             pose: Array = obstacles.poses()[obstacles.names.index(name)]
@@ -79,7 +79,7 @@ class CoverageTopic:
 
 
 def ground_truth_topics(node: Node, simulation: Simulation, sink: RecordSink) -> list[KeypointTopic | CoverageTopic]:
-    """Return the topics that the scene asks for."""
+    """Create ~/keypoints and ~/coverage, each if the scene asks for it."""
     topics: list[KeypointTopic | CoverageTopic] = []
     if any(simulation.scene.keypoints):
         topics.append(KeypointTopic(node, simulation, sink))

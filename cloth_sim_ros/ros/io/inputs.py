@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Inputs:
-    """Inputs of one node: each valid one waits in the queue for its frame.
+    """Turns commands, TF frames, service requests and parameter changes into events that wait for their frame.
 
     Args:
         node: the node.
@@ -93,25 +93,25 @@ class Inputs:
             self.interfaces.serve()
 
     def answer(self, frame: Frame) -> None:
-        """Answer the requests and goals whose grasps ended in a frame."""
+        """Answer the service requests and action goals whose grasps ended in a frame."""
         self.services.answer_grasps(frame)
         if self.actions is not None:
             self.actions.answer(frame)
 
     def expire(self) -> None:
-        """Answer requests that have waited too long. Call it periodically."""
+        """Answer service requests and canceled goals that have waited too long. Call it periodically."""
         self.services.expire_requests()
         if self.actions is not None:
             self.actions.expire()
 
     def fail(self, reason: str, stamp: int) -> None:
-        """Answer the requests and goals that wait for pads, because a frame failed."""
+        """Answer service requests and action goals that wait for pads, because a frame failed."""
         self.services.fail(reason, stamp)
         if self.actions is not None:
             self.actions.fail(reason, stamp)
 
     def close(self) -> None:
-        """Remove the actions, which rclpy's node keeps."""
+        """Destroy the action servers, which rclpy's node would keep."""
         for servers in (self.actions, self.interfaces):
             if servers is not None:
                 servers.close()
@@ -128,17 +128,17 @@ class Inputs:
         return [*of_links, *self.tf_follower.events(stamp), *([] if twists is None else twists.events(stamp))]
 
     def observe(self, frame: Frame) -> None:
-        """Observe a frame: the command of a robot's links may have to be repeated."""
+        """Let the robot's follower examine a frame, because it may have to repeat the command of the links."""
         if self._robot is not None:
             self._robot.observe(frame)
 
     def return_parameters(self, reason: str) -> None:
-        """Set the parameters back to those in force, because accepted ones could not take effect."""
+        """Set the ROS parameters back to the values in force, because accepted ones could not take effect."""
         self._node.get_logger().error(f"parameters are set back: {reason}")
         self.parameters.return_to(self._simulation.scene)
 
     def restart_time(self) -> None:
-        """Accept any stamp next and forget dynamic transforms, because the clock was set back."""
+        """Forget stamps and dynamic transforms because the clock was set back: any stamp is accepted next."""
         self.commands.reset_stamps()
         self._frames.clear()
         if self._robot is not None:

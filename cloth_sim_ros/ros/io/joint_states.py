@@ -16,7 +16,7 @@ _MAX_WAITING, _MAX_PUBLISHERS = 4096, 256
 
 
 class JointStates:
-    """Newest positions of joints.
+    """Newest positions of a robot's joints, from joint states that take effect by stamp.
 
     States of one list of names are ordered by stamp, as commands of one gripper. States of other names are another
     publisher's. The newest stamp of each joint counts.
@@ -48,7 +48,7 @@ class JointStates:
         return [name for name, known in zip(self.names, self.is_known.tolist(), strict=True) if not known]
 
     def add(self, names: Sequence[str], positions: Sequence[float], stamp: int, now: int) -> bool:
-        """Store a state until its frame. Return False for one that names none of the joints.
+        """Queue a joint state until the frame of its stamp. Return False if it names none of the joints.
 
         Args:
             names: names of joints.
@@ -82,12 +82,12 @@ class JointStates:
         return True
 
     def silent_since(self, time: int) -> list[str]:
-        """Return the names of the joints whose states have stopped before a ROS time [ns]."""
+        """Return the names of the joints that had states before a ROS time [ns], but none since."""
         is_silent = (self._arrivals > 0) & (self._arrivals < time)
         return [name for name, silent in zip(self.names, is_silent.tolist(), strict=True) if silent]
 
     def apply(self, now: int) -> bool:
-        """Apply the states that are due at a ROS time [ns], by stamp. Return True if a position changed."""
+        """Apply the queued states that are due at a ROS time [ns] to `positions`. Return True if a position changed."""
         if not self._waiting:
             return False
         ready = sorted((state for state in self._waiting if state[0] <= now), key=lambda state: state[0])
@@ -104,7 +104,7 @@ class JointStates:
         return not known or not np.array_equal(before, self.positions)
 
     def restart_time(self) -> None:
-        """Accept any stamp next, because the clock was set back."""
+        """Drop queued states and forget stamps because the clock was set back: any stamp is accepted next."""
         self._waiting.clear()
         self.stamp = 0
         self._stamps[:] = 0

@@ -27,7 +27,7 @@ CDR = b"\x00\x01\x00\x00"
 
 
 class CloudMessage:
-    """A sensor_msgs/PointCloud2 of which only stamp and points change; the rest is serialized once.
+    """Serializes sensor_msgs/PointCloud2 messages; all but stamp and points is serialized once.
 
     Args:
         frame_id: coordinate frame.
@@ -51,7 +51,7 @@ class CloudMessage:
         self._end = aligned(b"\x01", 4)
 
     def serialized(self, x: Array, stamp: int, v: Array | None = None, normals: Array | None = None) -> bytes:
-        """Return the CDR bytes for positions x [m] and, if the cloud has their fields, v [m/s] and normals.
+        """Return the CDR bytes of the cloud for positions x [m] and, if it has their fields, v [m/s] and normals.
 
         Args:
             x: positions, shape (3, n).
@@ -65,7 +65,7 @@ class CloudMessage:
 
 
 def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
-    """Return the CDR bytes of a shape_msgs/Mesh.
+    """Return the CDR bytes of a shape_msgs/Mesh from the cloth's triangles and rest positions.
 
     Args:
         triangles: particles of each triangle, shape (m, 3).
@@ -77,7 +77,7 @@ def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
 
 
 class SurfaceMarker:
-    """A visualization_msgs/Marker TRIANGLE_LIST of the surface, for RViz.
+    """Serializes the cloth's surface as a visualization_msgs/Marker TRIANGLE_LIST, for RViz.
 
     Args:
         frame_id: coordinate frame.
@@ -96,7 +96,7 @@ class SurfaceMarker:
         self._tail = self._tail_length()
 
     def serialized(self, x: Array, stamp: int) -> bytes:
-        """Return the CDR bytes for positions x [m], shape (3, n), at a ROS time [ns]."""
+        """Return the CDR bytes of the Marker for positions x [m], shape (3, n), at a ROS time [ns]."""
         set_stamp(self._message.header.stamp, stamp)
         empty = bytes(serialize_message(self._message))
         head, tail = empty[4 : -self._tail - 4], empty[-self._tail :]
@@ -105,7 +105,7 @@ class SurfaceMarker:
 
     @staticmethod
     def _tail_length() -> int:
-        """Return the length of the bytes after the number of points; a marked field before it locates them."""
+        """Return the number of bytes of a serialized Marker after its points, located by the field before them."""
         plain = bytes(serialize_message(Marker()))
         locked = bytes(serialize_message(Marker(frame_locked=True)))
         offset = next(index for index, (a, b) in enumerate(zip(plain, locked, strict=True)) if a != b)
@@ -114,7 +114,7 @@ class SurfaceMarker:
 
 
 def wrench_message(wrench: ArrayLike, *, frame_id: str, stamp: int) -> bytes:
-    """Return the CDR bytes of a geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
+    """Return the CDR bytes of a geometry_msgs/WrenchStamped from force [N] and torque [N m], shape (6,)."""
     fx, fy, fz, tx, ty, tz = np.asarray(wrench, dtype=np.float64).tolist()
     message = WrenchStamped()
     message.header.frame_id = frame_id
@@ -135,5 +135,5 @@ def read_stamp(stamp: object) -> int:
 
 
 def aligned(data: bytes, size: int) -> bytes:
-    """Pad with zeros to a multiple of a size [bytes]."""
+    """Return bytes padded with zeros to a multiple of a size [bytes], as CDR aligns fields."""
     return data + bytes(-len(data) % size)

@@ -26,7 +26,7 @@ _COLOUR, _GROUND = ColorRGBA(r=0.45, g=0.5, b=0.58, a=1.0), ColorRGBA(r=0.24, g=
 
 
 class ObstacleMarkers:
-    """Markers of obstacles, with namespaces `<node>/<obstacle>` so that one display shows several cloths.
+    """Serializes obstacles as a MarkerArray; its namespaces `<node>/<obstacle>` let one display show several cloths.
 
     Args:
         solids: the obstacles.
@@ -62,10 +62,10 @@ class ObstacleMarkers:
         positions = [struct.pack("<d", _MARKED_POSITION * (1 + index)) for index in range(len(parts))]
         self._data = np.frombuffer(data, np.uint8).copy()
         #: Indices of the bytes of each stamp and of each pose.
-        self._stamps, self._poses = _places(data, seconds, 8), _places(data, positions, 56)
+        self._stamps, self._poses = _byte_indices(data, seconds, 8), _byte_indices(data, positions, 56)
 
     def serialized(self, poses: Array, stamp: int) -> bytes:
-        """Return the CDR bytes for poses (obstacle_count, 7) at a ROS time [ns]."""
+        """Return the CDR bytes of the MarkerArray for poses (obstacle_count, 7) at a ROS time [ns]."""
         self._data[self._stamps] = np.frombuffer(struct.pack("<iI", *divmod(stamp, 10**9)), np.uint8)
         numbers = poses[self._obstacles].astype("<f8")
         numbers[:, :3] = body_points(numbers, self._offsets)
@@ -107,7 +107,7 @@ def _marker(kind: int, x: float, y: float, z: float) -> Marker:
     return Marker(type=kind, scale=Vector3(x=x, y=y, z=z))
 
 
-def _places(data: bytes, marks: Sequence[bytes], length: int) -> NDArray[np.int64]:
+def _byte_indices(data: bytes, marks: Sequence[bytes], length: int) -> NDArray[np.int64]:
     """Return the indices of `length` bytes from each mark on; marks follow one another. Shape (marks, length)."""
     starts, start = [], 0
     for mark in marks:

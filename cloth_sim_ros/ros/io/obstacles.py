@@ -31,7 +31,7 @@ _STOP_REPEAT_TIME = 1.0
 
 
 class ObstacleTopics:
-    """Topics of a cloth's obstacles.
+    """Publishes markers and wrenches of obstacles, subscribes to their targets, and warns of stops and lags.
 
     Args:
         node: the node.
@@ -59,12 +59,12 @@ class ObstacleTopics:
         self._n_repeat_frames = round(_STOP_REPEAT_TIME * simulation.scene.rate)
 
     def record(self, stamp: int) -> None:
-        """Record the markers at the start of a recording, at a ROS time [ns]."""
+        """Record the markers of obstacles at the start of a recording, at a ROS time [ns]."""
         if self._output is not None:
             self._output.record(self._published, stamp)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Publish and record the markers and wrenches after a frame, at a ROS time [ns]."""
+        """Publish and record wrenches and moved markers after a frame at a ROS time [ns]; warn of stops and lags."""
         self._update_stopped(frame)
         self._warn_of_stops(frame)
         obstacles = self._simulation.obstacles
@@ -99,7 +99,7 @@ class ObstacleTopics:
             self._log.info("contact recovery", f"a gripper opened while it pressed the cloth {text}")
 
     def describe(self) -> dict[str, str]:
-        """Return the diagnostics entries of contact; empty without contact."""
+        """Return diagnostics entries: number of contacts, smallest gaps [m], stopped bodies; empty without contact."""
         gaps, contact, entries = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
         if gaps is not None and len(gaps):
             entries = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
@@ -110,7 +110,7 @@ class ObstacleTopics:
         return entries
 
     def _warn_of_stops(self, frame: Frame) -> None:
-        """Warn once of a stop, even if commands cause it again in each frame."""
+        """Warn of obstacles and grippers that a frame stopped; once, even if commands stop them in each frame."""
         latest = self._last_stop_frames
         self._last_stop_frames = {
             name: index for name, index in latest.items() if frame.index - index <= self._n_repeat_frames

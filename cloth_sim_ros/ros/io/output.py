@@ -34,7 +34,7 @@ _ENUMS: dict[str, Any] = {"reliability": ReliabilityPolicy, "history": HistoryPo
 
 
 class RecordSink(Protocol):
-    """A consumer that records messages."""
+    """Protocol of a consumer that records the bytes of messages."""
 
     @property
     def running(self) -> bool:
@@ -45,7 +45,7 @@ class RecordSink(Protocol):
 
 
 class Output:
-    """One published topic.
+    """Publisher of one topic, with overridable quality of service, whose messages are also recorded.
 
     Raises:
         ParameterError: if the overrides of its quality of service form no valid profile.
@@ -96,7 +96,7 @@ class Output:
         return self._sink.running or self.has_subscribers
 
     def publish(self, data: bytes) -> None:
-        """Publish bytes, and warn if the middleware blocks the node for more than 0.5 s."""
+        """Publish bytes without recording them, and warn if the middleware blocks the node for more than 0.5 s."""
         begun = time.monotonic()
         self._publisher.publish(data)
         if (elapsed := time.monotonic() - begun) > _SLOW_PUBLICATION:
@@ -107,7 +107,7 @@ class Output:
             )
 
     def send(self, data: bytes, stamp: int) -> None:
-        """Publish and record bytes at a ROS time [ns]."""
+        """Publish bytes, and record them at a ROS time [ns] if a recording runs."""
         self.publish(data)
         self.record(data, stamp)
 
@@ -116,11 +116,11 @@ class Output:
         self._publisher.wait_for_all_acked(_FLUSH_TIMEOUT)
 
     def close(self) -> None:
-        """Remove the topic."""
+        """Destroy the publisher."""
         self._node.destroy_publisher(self._publisher)
 
     def record(self, data: bytes, stamp: int) -> None:
-        """Record bytes at a ROS time [ns] if a recording runs."""
+        """Record bytes at a ROS time [ns] if a recording runs, without publishing them."""
         if self._sink.running:
             self._sink.add(
                 self.topic, self._kind, data, stamp=stamp, qos=self._publisher.qos_profile, droppable=self._droppable
@@ -128,7 +128,7 @@ class Output:
 
 
 def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind: str = PUBLISHER) -> QoSProfile:
-    """Return a new profile of a topic with its overrides; rclpy would write them into the object that it is given.
+    """Return a topic's quality of service with its overrides applied, as a new profile.
 
     Overrides are validated here, because rclpy's errors name no parameter.
 

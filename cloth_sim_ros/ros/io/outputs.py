@@ -40,7 +40,7 @@ _PAUSED_PERIOD = 1.0
 
 
 class ClothTopics:
-    """Points, topology, mesh and wrenches of one cloth."""
+    """Publishes ~/points, ~/topology, ~/mesh and ~/<gripper>/wrench of one cloth."""
 
     def __init__(self, node: Node, scene: Scene, sink: RecordSink) -> None:
         self._shape = scene.shape
@@ -61,7 +61,7 @@ class ClothTopics:
         self.published = 0
 
     def start(self, stamp: int) -> None:
-        """Publish the topology at a ROS time [ns]."""
+        """Publish the topology (triangles and rest positions) once, at a ROS time [ns]."""
         self._topology.send(self._topology_bytes, stamp)
 
     def record_topology(self, stamp: int) -> None:
@@ -69,7 +69,7 @@ class ClothTopics:
         self._topology.record(self._topology_bytes, stamp)
 
     def send(self, x: Array, wrenches: Array, stamp: int, *, velocities: Array, fields: PointsParameters) -> None:
-        """Publish and record one frame.
+        """Publish and record cloud and wrenches of one frame; publish its mesh marker.
 
         Args:
             x: positions [m], shape (3, n).
@@ -102,7 +102,7 @@ class ClothTopics:
 
 
 class Outputs:
-    """Output part of the node: publishes and records frames.
+    """Owns all published topics of the node; publishes and records each frame on them.
 
     Args:
         node: the node.
@@ -157,16 +157,16 @@ class Outputs:
             self.ensemble.start()
 
     def before_frame(self) -> None:
-        """Keep what a frame changes and its messages need."""
+        """Let the ensemble, if there is one, copy the cloth's state before a frame."""
         if self.ensemble is not None:
             self.ensemble.before_frame()
 
     def labels(self, frame: Frame) -> dict[str, Any]:
-        """Return further entries of a frame's record."""
+        """Return the ensemble's entries of a frame's record; empty without an ensemble."""
         return {} if self.ensemble is None else self.ensemble.labels(frame)
 
     def must_publish(self, frame: Frame, now: float) -> bool:
-        """Return true if a frame is to be published at a steady time [s]: if it differs, or once a second."""
+        """Return true if a frame is to be published at a steady time [s]: it moved, had events, or a second passed."""
         is_recent = self._last_published is not None and now - self._last_published < _PAUSED_PERIOD
         if not frame.moved and not frame.events and is_recent:
             return False
@@ -174,7 +174,7 @@ class Outputs:
         return True
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Publish and record a frame that was due at a ROS time [ns]."""
+        """Publish and record a frame that was due at a ROS time [ns] on all topics."""
         state = self._simulation.state
         fields = self._simulation.scene.points
         self.cloth.send(state.x, frame.wrenches, stamp, velocities=state.v, fields=fields)
@@ -192,12 +192,12 @@ class Outputs:
             self.ensemble.add(frame, stamp)
 
     def send_late(self, stamp: int) -> None:
-        """Publish and record results of earlier frames that have come by a ROS time [ns]."""
+        """Publish and record the ensemble's clouds of earlier frames that are finished at a ROS time [ns]."""
         if self.ensemble is not None:
             self.ensemble.send(stamp)
 
     def report_processes(self) -> None:
-        """Log what the processes of cameras and ensemble reported."""
+        """Log the messages of the camera and ensemble processes."""
         for part in (self.cameras, self.ensemble):
             if part is not None:
                 part.report()

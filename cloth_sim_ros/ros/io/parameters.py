@@ -37,7 +37,7 @@ _TYPES |= {f"{kind}[]": RosParameter.Type[f"{name}_ARRAY"] for kind, name in _SC
 
 
 class UnknownParametersError(ParameterNotDeclaredException):
-    """Parameters that do not exist."""
+    """Parameters were set that do not exist; the message names similar ones."""
 
     def __init__(self, names: list[str], known: Sequence[str]) -> None:
         super().__init__(names)
@@ -48,12 +48,12 @@ class UnknownParametersError(ParameterNotDeclaredException):
 
 
 class SceneNode(SimTimeNode):
-    """rclpy's node with error messages that name the parameter; `serve` creates its services."""
+    """rclpy's node for a scene's parameters: its errors name the parameter; `serve` creates its services."""
 
     def __init__(
         self, name: str, *, start_parameter_services: bool = True, enable_logger_service: bool = True, **options: Any
     ) -> None:
-        """Create rclpy's node, and declare the overrides.
+        """Create rclpy's node with its parameter overrides declared, but without services.
 
         Raises:
             ParameterError: for an empty list, which has no type in ROS, or a use_sim_time that is not a bool.
@@ -82,7 +82,7 @@ class SceneNode(SimTimeNode):
         self._post_set_parameters_callbacks.clear()
 
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
-        """Declare parameters as rclpy does, which declares the overrides first; refuse invalid overrides here."""
+        """Declare parameters as rclpy does, but first refuse invalid overrides by one error that names all."""
         listed = list(parameters)
         overrides = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
         refused = Faults()
@@ -146,7 +146,7 @@ Extension = Callable[[Mapping[str, Any], Mapping[str, bytes]], tuple[dict[str, A
 
 
 def declare(node: Node, *, extend: Extension | None = None) -> Scene:
-    """Declare all parameters of a scene on a node that has declared its overrides; return the scene.
+    """Declare all parameters of a scene on a node, with the values of its overrides; return the scene.
 
     Args:
         node: the node.
@@ -181,7 +181,7 @@ def declare(node: Node, *, extend: Extension | None = None) -> Scene:
 
 
 def declare_entry(node: Node, entry: Parameter, value: Any) -> None:
-    """Declare a parameter of a scene on a node with a value; overrides are ignored."""
+    """Declare one parameter of a scene on a node with a value; overrides are ignored."""
     typed = RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value
     if isinstance(node, SceneNode):
         node.entries[entry.name] = entry
@@ -189,7 +189,7 @@ def declare_entry(node: Node, entry: Parameter, value: Any) -> None:
 
 
 def describe(entry: Parameter) -> ParameterDescriptor:
-    """Return the descriptor of a parameter; `additional_constraints` holds the limits that have no field."""
+    """Return the ROS descriptor of a parameter; `additional_constraints` holds the limits that have no field."""
     constraints = []
     descriptor = ParameterDescriptor(
         name=entry.name, type=_TYPES[entry.kind].value, description=entry.description, read_only=not entry.live
@@ -221,7 +221,7 @@ def describe(entry: Parameter) -> ParameterDescriptor:
 
 
 class LiveParameters:
-    """Changes of parameters at run time: validated at once, effective with the next frame.
+    """Validates changes of ROS parameters at once, and passes accepted ones on, effective with the next frame.
 
     Args:
         node: the node that owns the parameters.
@@ -251,7 +251,7 @@ class LiveParameters:
         node.add_post_set_parameters_callback(self._apply)
 
     def return_to(self, scene: Scene) -> None:
-        """Set the parameters to the values of a scene, because an accepted change could not take effect."""
+        """Set the ROS parameters to the values of a scene, because an accepted change could not take effect."""
         before, now = self.accepted.parameters(), scene.parameters()
         previous = self.accepted.entries
         remaining = {entry.name for entry in scene.entries}
@@ -306,7 +306,7 @@ class LiveParameters:
 
     @property
     def _ignores_changes(self) -> bool:
-        """True while parameters are set without an effect on the scene."""
+        """True while ROS parameters are declared or set back, which changes nothing in the scene."""
         return self._returning or (isinstance(self._node, SceneNode) and self._node.declaring)
 
     def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
@@ -318,7 +318,7 @@ class LiveParameters:
 
 
 def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
-    """Warn of overrides without effect, such as typing errors in a parameter file."""
+    """Warn of overrides without effect, such as typing errors in a parameter file, and undeclare them."""
     names = node.list_parameters([], 0).names
     full, resolve = node.get_fully_qualified_name(), node.resolve_topic_name
     used = {Override(resolve(topic), kind, policy).name for kind, topic, policy in overridable(scene)}
@@ -337,7 +337,7 @@ def _limits(entry: Parameter, largest: float, kind: Callable[[float], Any]) -> d
 
 
 def _plain(value: Any) -> Any:
-    """Return rclpy's arrays (array.array, list) as tuples."""
+    """Convert an array of a ROS parameter, as rclpy holds it, to a tuple; other values stay unchanged."""
     return value if isinstance(value, bool | int | float | str | bytes | None) else tuple(value)
 
 

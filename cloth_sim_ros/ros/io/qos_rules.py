@@ -37,7 +37,7 @@ _MAX_DEPTH = 2**31 - 1
 
 @attrs.frozen
 class Override:
-    """The parts of an override's parameter name."""
+    """Topic, endpoint kind and policy in the name of a quality-of-service override."""
 
     topic: str
     #: One of ENDPOINT_KINDS.
@@ -47,17 +47,17 @@ class Override:
 
     @property
     def endpoint(self) -> str:
-        """The prefix of the name that all policies share."""
+        """Common start of the names of this endpoint's overrides: `qos_overrides.<topic>.<kind>`."""
         return f"{QOS_PREFIX}{self.topic}.{self.endpoint_kind}"
 
     @property
     def name(self) -> str:
-        """The parameter's name."""
+        """Name of the override's ROS parameter."""
         return f"{self.endpoint}.{self.policy}"
 
 
 def topics_of(scene: Scene) -> dict[str, list[str]]:
-    """Return the topics of a scene's node with overridable profiles, by endpoint kind."""
+    """Return the topics of a scene's node whose quality of service may be overridden, by endpoint kind."""
     out = ["~/points", "~/topology", "~/mesh", "~/state", "~/clock", "/diagnostics", "/tf"]
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
@@ -84,7 +84,7 @@ def overridable(scene: Scene) -> Iterator[tuple[str, str, str]]:
 
 
 def read_name(name: str) -> Override | None:
-    """Return the parts of an override's name; None if the name is no override or its policy is not overridable."""
+    """Parse the name of a quality-of-service override; None if it is none or its policy is not overridable."""
     if not name.startswith(QOS_PREFIX):
         return None
     topic, _, end = name.removeprefix(QOS_PREFIX).rpartition(".")
@@ -95,7 +95,7 @@ def read_name(name: str) -> Override | None:
 
 
 def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None) -> Iterator[str]:
-    """Yield a sentence for each override with an invalid value or an invalid combination with others.
+    """Yield a sentence for each quality-of-service override that is invalid by itself or together with others.
 
     Args:
         values: parameters by full name; other parameters are ignored.
@@ -119,7 +119,7 @@ def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None)
 
 
 def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> dict[str, list[str]]:
-    """Group overrides for other nodes' topics by that node's full name; parameter dumps contain such overrides.
+    """Group overrides for topics of other nodes by that node's full name; parameter dumps contain such overrides.
 
     Args:
         names: names of overrides that this node does not read.
@@ -138,7 +138,7 @@ def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> di
 
 
 def _allowed_values(override: Override, value: Any) -> str:
-    """Return the allowed values of a policy if a value is invalid; otherwise an empty text."""
+    """Return the allowed values of a policy as text if the value is invalid; otherwise an empty text."""
     if override.policy == "depth":
         is_valid = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MAX_DEPTH
         waits = "for slow subscribers" if override.endpoint_kind == PUBLISHER else "for the node"

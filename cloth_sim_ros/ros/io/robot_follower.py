@@ -35,7 +35,7 @@ _SILENCE = 1_000_000_000
 
 
 class RobotFollower:
-    """Moves the links of a robot.
+    """Moves the obstacles of a robot's links to the poses of its joint states or TF frames.
 
     Args:
         node: the node.
@@ -127,7 +127,7 @@ class RobotFollower:
         return [event] if event.obstacles else []
 
     def observe(self, frame: Frame) -> None:
-        """Repeat the command of the links after a reset or a change of obstacles, or with a new state after a stop."""
+        """Let `events` send the links' poses again after a reset, changed parameters, or a stop and a new state."""
         if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
             self._must_send = True
             if self._stops is not None:
@@ -135,7 +135,7 @@ class RobotFollower:
         self._resends = self._resends or bool(frame.stopped)
 
     def link_pose(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...], int] | None:
-        """Return position [m], orientation and stamp [ns] of a link by name; None for a frame that TF places."""
+        """Return position [m], orientation and stamp [ns] of a robot's link by name; None for frames that TF places."""
         if self._settings.source != JOINT_STATES or name not in self._links.kinematics.placements:
             return None
         if name == self._settings.frame:
@@ -145,7 +145,7 @@ class RobotFollower:
         return tuple(pose[:3]), tuple(pose[3:]), self._states.stamp
 
     def restart_time(self) -> None:
-        """Accept any stamp next, because the clock was set back."""
+        """Forget stamps of joint states because the clock was set back: any stamp is accepted next."""
         self._states.restart_time()
         self._last_state = 0
 
@@ -182,7 +182,7 @@ class RobotFollower:
         self._log.warn(f"joint state {kind}", f"a joint state is refused: {reason}")
 
     def _report_silence(self, now: int) -> None:
-        """Say once when joint states stop, of all joints or of some, and when they come again."""
+        """Log once when joint states stop, of all joints or of some, and when they come again."""
         if self._settings.source != JOINT_STATES:
             return
         self._last_state = self._last_state or now

@@ -40,7 +40,7 @@ _MESSAGE_PERIOD, _POLL_PERIOD = 5.0, 0.1
 
 
 class RobotStart:
-    """Waits for a robot, and makes its links obstacles of a scene.
+    """Waits at the node's start for a robot's description and poses, and adds its links to a scene as obstacles.
 
     Args:
         node: the node, which is in no executor yet.
@@ -57,7 +57,7 @@ class RobotStart:
         self._description = self._ignored = ""
 
     def extend(self, values: Mapping[str, Any], files: Mapping[str, bytes]) -> tuple[dict[str, Any], dict[str, bytes]]:
-        """Return a scene's parameters with the links at their present poses, and the contents of the scene's files.
+        """Wait for the robot; return a scene's parameters with its links as obstacles, and the contents of files.
 
         Raises:
             ParameterError: for an invalid scene or description, naming the remedy.
@@ -162,7 +162,7 @@ class RobotStart:
         return poses[-1]
 
     def _read(self, data: bytes, kind: Any, topic: str) -> Any:
-        """Return a message from its bytes; an empty one, with a warning, if they are none of that type."""
+        """Deserialize a message; return an empty one, with a warning, if the bytes are not of its type."""
         try:
             return deserialize_message(data, kind)
         except (RuntimeError, UnicodeDecodeError):
@@ -207,7 +207,7 @@ class RobotStart:
 
 
 def _check_tf(settings: RobotParameters) -> None:
-    """Refuse parameters that need tf2_ros if it is not installed.
+    """Refuse parameters of a robot that need tf2_ros if it is not installed.
 
     Raises:
         ParameterError: naming the parameter and the remedy.
@@ -224,7 +224,7 @@ def _check_tf(settings: RobotParameters) -> None:
 
 
 def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, settings: RobotParameters) -> Array:
-    """Return the poses of the links' obstacles in the cloth's frame, shape (count, 7).
+    """Return the poses of the links' obstacles in the cloth's frame, by TF or joint positions, shape (count, 7).
 
     Raises:
         FrameError: if TF lacks a frame.

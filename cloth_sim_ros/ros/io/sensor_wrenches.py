@@ -19,7 +19,7 @@ TOPIC = "ft_sensor_wrench"
 
 
 class SensorWrenches:
-    """Publishes ~/<gripper>/ft_sensor_wrench to subscribers.
+    """Publishes each gripper's wrench as a force-torque sensor would, on ~/<gripper>/ft_sensor_wrench.
 
     The topic is not recorded, because it follows from ~/<gripper>/wrench and the pose.
 
@@ -35,7 +35,7 @@ class SensorWrenches:
         self._outputs = [Output(node, WrenchStamped, f"~/{name}/{TOPIC}", sink) for name in names]
 
     def send(self, wrenches: Array, stamp: int) -> None:
-        """Publish the wrenches of a frame, shape (gripper_count, 6), that was due at a ROS time [ns]."""
+        """Publish a frame's wrenches (gripper_count, 6) as sensors report them, at a ROS time [ns], if subscribed."""
         if not any(output.has_subscribers for output in self._outputs):
             return
         gripper, poses = self._simulation.scene.gripper, self._simulation.grippers.poses()
@@ -46,7 +46,7 @@ class SensorWrenches:
 
 
 def sensor_wrench(wrench: Array, pose: Array, position: tuple[float, ...], orientation: tuple[float, ...]) -> Array:
-    """Return a wrench about a gripper's origin, in the cloth's frame, as a sensor on the gripper reports it.
+    """Transform a wrench from a gripper's origin and the cloth's axes to a sensor's origin and axes, shape (6,).
 
     Args:
         wrench: force [N] and torque [N m], shape (6,).

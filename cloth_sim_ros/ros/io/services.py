@@ -33,7 +33,7 @@ CLOSING_TIMEOUT = 30.0
 
 
 class Services:
-    """Services of one cloth; `serve` creates them.
+    """Serves reset, pause, step, record, save_state and the grippers' close; `serve` creates the services.
 
     Args:
         node: the node.
@@ -70,11 +70,11 @@ class Services:
 
     @property
     def user_paused(self) -> bool:
-        """The pause that the user requested."""
+        """True if the user paused the cloth, regardless of /clock."""
         return self._clock_pause.user_paused
 
     def expire_requests(self) -> None:
-        """Answer requests that have waited too long. Call it periodically."""
+        """Answer requests that have waited too long for their frame or for pads. Call it periodically."""
         now = time.monotonic()
         for start, future in self._pending:
             if now - start > FRAME_TIMEOUT and not future.done():
@@ -88,7 +88,7 @@ class Services:
         self._closing = [entry for entry in self._closing if not entry[2].done()]
 
     def answer_grasps(self, frame: Frame) -> None:
-        """Answer requests whose pads came to rest in a frame, or were opened or reset."""
+        """Answer requests to close pads that came to rest in a frame, or were opened or reset."""
         if not self._closing:
             return
         grasps = {grasp.gripper: grasp for grasp in frame.grasps}
@@ -105,13 +105,13 @@ class Services:
         self._closing = [entry for entry in self._closing if not entry[2].done()]
 
     def fail(self, reason: str, _stamp: int) -> None:
-        """Answer the requests that wait for pads, because a frame failed."""
+        """Answer the requests that wait for pads with the reason why a frame failed."""
         closing, self._closing = self._closing, []
         for gripper, _, future in closing:
             future.set_result(GraspResult(gripper, True, 0, f"failed: {reason}"))
 
     async def enqueue(self, event: Event, *, pads_result: Future | None = None) -> EventResult:
-        """Queue an event and wait for its frame.
+        """Queue an event and wait for its frame; return its result, or why it took no effect.
 
         Args:
             event: the event.

@@ -32,7 +32,7 @@ _RUNNING = "the cloth is running; pause it first"
 
 
 class SimulationInterfaces:
-    """Servers of simulation_interfaces on the services of one cloth; `serve` creates them.
+    """Serves the services and the action of simulation_interfaces for one cloth; `serve` creates the servers.
 
     Args:
         node: the node.
@@ -45,7 +45,7 @@ class SimulationInterfaces:
         self._action: ActionServer | None = None
 
     def serve(self) -> None:
-        """Create the servers, or log that the package is missing."""
+        """Create the service and action servers, or log that the package is missing."""
         try:
             self._messages = importlib.import_module(f"{PACKAGE}.msg")
             services = importlib.import_module(f"{PACKAGE}.srv")
@@ -75,7 +75,7 @@ class SimulationInterfaces:
         )
 
     def close(self) -> None:
-        """Remove the action, which rclpy's node keeps."""
+        """Destroy the action server, which rclpy's node would keep."""
         if self._action is not None:
             self._action.destroy()
             self._action = None
@@ -163,5 +163,5 @@ class SimulationInterfaces:
 
 
 def _constant(kind: Any, name: str) -> int:
-    """Return a constant of a message; later versions of the package have the prefix STATE_."""
+    """Return a message type's constant by name; later versions of the package have the prefix STATE_."""
     return int(getattr(kind, f"STATE_{name}") if hasattr(kind, f"STATE_{name}") else getattr(kind, name))

@@ -18,15 +18,15 @@ class StampError(ValueError):
 
 
 class NoTimeError(StampError):
-    """A stamp that is no valid time."""
+    """A stamp that is no valid time: negative, or with a second or more of nanoseconds."""
 
 
 class OldStampError(StampError):
-    """A stamp older than the newest one."""
+    """A stamp older than the newest one, e.g. of the same gripper's commands."""
 
 
 def checked(sec: int, nanosec: int) -> int:
-    """Return the seconds and nanoseconds of a message's stamp as ROS time [ns].
+    """Convert a message's stamp to ROS time [ns], and refuse an invalid one.
 
     Raises:
         NoTimeError: if they are no valid time: before 1970, or with a second or more of nanoseconds.
@@ -40,13 +40,13 @@ def checked(sec: int, nanosec: int) -> int:
 
 @attrs.define
 class StampGate:
-    """Accepts or refuses the stamps of one gripper's commands."""
+    """Refuses stamps of successive commands, e.g. of one gripper, that are out of order or too far ahead."""
 
     _newest: int | None = None
     _last_command: int = 0
 
     def accept(self, stamp: int, now: int) -> int:
-        """Return the ROS time [ns] at which a command takes effect.
+        """Check a command's stamp, and return the ROS time at which the command takes effect [ns].
 
         Args:
             stamp: stamp of the command [ns]; zero means now.
@@ -72,5 +72,5 @@ class StampGate:
         return effective
 
     def reset(self) -> None:
-        """Accept any stamp next, because the clock was set back."""
+        """Forget the newest stamp because the clock was set back: any stamp is accepted next."""
         self._newest = None

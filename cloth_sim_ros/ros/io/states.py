@@ -24,7 +24,7 @@ _LABELS = {
 
 
 class States:
-    """The latched topics ~/state and ~/<gripper>/state; the latter is published after every grasp.
+    """Publishes the latched topics ~/state and ~/<gripper>/state, the latter after every grasp.
 
     Args:
         node: the node.
@@ -44,7 +44,7 @@ class States:
         self._published_state = 0
 
     def start(self, stamp: int, *, waits: bool = False) -> None:
-        """Publish the first states.
+        """Publish the first states of the node and its grippers.
 
         Args:
             stamp: ROS time [ns].
@@ -54,7 +54,7 @@ class States:
         self._publish_grippers({name: "" for name in self._grippers}, stamp)
 
     def record(self, stamp: int) -> None:
-        """Record the newest states at the start of a recording, at a ROS time [ns]."""
+        """Record the newest messages on ~/state and ~/<gripper>/state when a recording starts, at a ROS time [ns]."""
         for output, data in self._latest.items():
             output.record(data, stamp)
 
@@ -70,11 +70,11 @@ class States:
         self._publish_grippers(changed, stamp)
 
     def end(self, stamp: int) -> None:
-        """Publish the final state at a ROS time [ns]."""
+        """Publish ~/state `finalized` at a ROS time [ns], because the node ends."""
         self._send_state(State.PRIMARY_STATE_FINALIZED, stamp)
 
     def fail(self, reason: str, stamp: int) -> None:
-        """Publish that a frame failed, at a ROS time [ns].
+        """Publish ~/state with the reason of a failed frame, at a ROS time [ns].
 
         The id is that of a managed node during error processing.
         """

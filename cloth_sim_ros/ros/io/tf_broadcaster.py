@@ -23,7 +23,7 @@ CLOTH_FRAME = "cloth"
 
 
 class TfBroadcaster:
-    """Publishes /tf while `tf.publish` is set.
+    """Publishes the frames of grippers, cloth and cameras on /tf while `tf.publish` is set.
 
     The frames are `<node>/<gripper>`, `<node>/cloth` at the centre of mass, and `<node>/<camera>_optical_frame`.
 
@@ -50,7 +50,7 @@ class TfBroadcaster:
             self.output.send(transforms_bytes(self._transforms(), frame_id=parent, stamp=stamp), stamp)
 
     def _open(self) -> None:
-        """Create the publisher, or log an error, once each time that `tf.publish` is set."""
+        """Create the publisher of /tf, or log an error, once each time that `tf.publish` is set."""
         if self.output is not None:
             return
         try:
@@ -82,7 +82,7 @@ class TfBroadcaster:
 
 
 def transforms_bytes(frames: Iterable[tuple[str, Sequence[float]]], *, frame_id: str, stamp: int) -> bytes:
-    """Return the CDR bytes of a tf2_msgs/TFMessage.
+    """Return the CDR bytes of a tf2_msgs/TFMessage from names and poses of frames in one parent frame.
 
     Args:
         frames: name of each frame with its pose in the parent: position [m] and quaternion x, y, z, w, 7 numbers.

@@ -33,7 +33,7 @@ class FrameError(ValueError):
 
 
 class FrameTransformer:
-    """Transforms poses into the cloth's frame.
+    """Transforms poses into the cloth's frame by tf2, or by the links of a robot.
 
     The first pose in another frame imports tf2 and subscribes to /tf.
     """
@@ -58,7 +58,7 @@ class FrameTransformer:
         *,
         max_age: int = MAX_TRANSFORM_AGE,
     ) -> Pose:
-        """Return position [m] and orientation (or None) in the cloth's frame.
+        """Transform a pose into the cloth's frame; return position [m] and orientation (or None).
 
         Args:
             frame_id: frame of the command; empty means the cloth's.
@@ -162,7 +162,7 @@ class TfFollower:
         self._last_warnings: dict[str, int] = {}
 
     def events(self, now: int) -> list[Event]:
-        """Return the events for the simulation frame due at a ROS time [ns]."""
+        """Return targets at followed TF frames that moved, and openings of silent grippers, at a ROS time [ns]."""
         scene = self._simulation.scene
         events: list[Event] = []
         if scene is not self._scene:
@@ -197,7 +197,7 @@ class TfFollower:
         return [target]
 
     def _warn(self, name: str, text: str, now: int) -> None:
-        """Warn when a frame is lost, and once a minute while it is."""
+        """Log a warning that a followed frame is lost: at once, then once a minute."""
         last = self._last_warnings.get(name)
         # The clock may have been set back since.
         if last is None or not 0 <= now - last < _WARNING_PERIOD:

@@ -46,7 +46,7 @@ _SKIP_FILES = ("SKIP_DEFAULT_XML_FILE", "SKIP_DEFAULT_XML")
 
 @contextlib.contextmanager
 def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
-    """Set up a shared-memory segment for the clouds of the process's first ROS node.
+    """Configure Fast DDS so that the process's first ROS node has a shared-memory segment for its clouds.
 
     Within this context, initialize rclpy and create the node. Nothing changes if the user chose transports or another
     middleware.
@@ -63,7 +63,7 @@ def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
 
 @contextlib.contextmanager
 def large_segment(message_bytes: int, rate: float) -> Iterator[str]:
-    """Set up a shared-memory segment for large messages of a total size, sent at a rate [Hz].
+    """Configure Fast DDS for large messages of a total size [bytes], sent at a rate [Hz].
 
     Otherwise as `cloud_transports`.
     """
@@ -127,7 +127,7 @@ def _has_users_transports() -> bool:
 
 
 def _enter(stack: contextlib.ExitStack, requested: int) -> str:
-    """Set the environment for a segment, or for UDP if memory is short; return a warning or an empty text."""
+    """Set the environment for a segment of a size [bytes], or for UDP if memory is short; return a warning or ""."""
     requested = min(requested, _MAX_SEGMENT)
     try:
         status = os.statvfs(_SHARED_MEMORY)
@@ -151,7 +151,7 @@ def _enter(stack: contextlib.ExitStack, requested: int) -> str:
 
 
 def _udp(stack: contextlib.ExitStack) -> dict[str, str | None]:
-    """Return the environment variables for UDP only."""
+    """Return the environment variables that restrict Fast DDS to UDP."""
     local = os.environ.get(_ONLY_LOCAL) == "1" or os.environ.get(_RANGE, "").upper() == "LOCALHOST"
     if not local:
         return {_BUILTIN: "UDPv4"}
@@ -167,7 +167,7 @@ def _write(stack: contextlib.ExitStack, text: str) -> str:
 
 
 def _set_variables(stack: contextlib.ExitStack, variables: Mapping[str, str | None]) -> None:
-    """Set variables, or remove those without a value, until the stack is closed."""
+    """Set environment variables, or remove those without a value, until the stack is closed."""
     for name, value in variables.items():
         before = os.environ.get(name)
         stack.callback(_set_variable, name, before)
@@ -182,7 +182,7 @@ def _set_variable(name: str, value: str | None) -> None:
 
 
 def _local_udp_profile(peers: list[str]) -> str:
-    """Return a profile equal to the range LOCALHOST, without shared memory."""
+    """Return a Fast DDS profile (XML) equal to the discovery range LOCALHOST, without shared memory."""
     locators = "".join(f"<locator><udpv4><address>{peer}</address></udpv4></locator>" for peer in peers)
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">

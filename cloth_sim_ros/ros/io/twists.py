@@ -31,7 +31,7 @@ class TwistError(ValueError):
 
 @attrs.frozen
 class _Twist:
-    """A velocity in the cloth's frame."""
+    """A commanded velocity in the cloth's frame."""
 
     #: [m/s] and [rad/s], 3 numbers each.
     linear: list[float]
@@ -41,7 +41,7 @@ class _Twist:
 
 
 class TwistCommands:
-    """Integrates the newest velocity of each gripper frame by frame.
+    """Turns the newest commanded velocity of each gripper into a target for each frame.
 
     Args:
         simulation: the cloth.
@@ -56,7 +56,7 @@ class TwistCommands:
         self._gates = {name: StampGate() for name in simulation.scene.gripper_names}
 
     def receive(self, gripper: str, message: Any, now: int) -> None:
-        """Store the velocity of a TwistStamped that came at a ROS time [ns].
+        """Check and store the commanded velocity in a TwistStamped that came at a ROS time [ns].
 
         Raises:
             ValueError: if the gripper can't follow it.
@@ -78,17 +78,17 @@ class TwistCommands:
         self._twists[gripper] = _Twist((rotation @ linear).tolist(), (rotation @ angular).tolist(), stamp)
 
     def stop(self, gripper: str) -> None:
-        """Forget the velocity of a gripper, because it has a target."""
+        """Forget the velocity of a gripper, because a target was sent to it."""
         self._twists.pop(gripper, None)
 
     def clear(self) -> None:
-        """Forget all velocities, because the clock or the cloth was set back."""
+        """Forget all velocities and stamps, because the clock or the cloth was set back."""
         self._twists.clear()
         for gate in self._gates.values():
             gate.reset()
 
     def events(self, now: int) -> list[Event]:
-        """Return the targets at the end of the frame that is due at a ROS time [ns]."""
+        """Return the target of each gripper with a velocity at the end of the frame due at a ROS time [ns]."""
         simulation = self._simulation
         if not self._twists or simulation.paused:
             return []
@@ -129,7 +129,7 @@ class TwistCommands:
         return rotation_matrix(normalized(orientation))
 
     def _limited(self, gripper: str, leaf: str, vector: list[float], limit: float, unit: str) -> list[float]:
-        """Return a vector shortened to a limit."""
+        """Return a velocity shortened to a limit, and warn if it was longer."""
         length = math.hypot(*vector)
         if length <= limit:
             return vector

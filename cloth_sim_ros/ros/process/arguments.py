@@ -24,7 +24,7 @@ class ArgumentsError(ValueError):
 
 
 def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """Parse the arguments that are not for ROS, and start rclpy with the others, without signal handlers.
+    """Return the parsed arguments that are not for ROS; start rclpy with the others, without signal handlers.
 
     Raises:
         ArgumentsError: if rclpy refuses the ROS arguments or can't start in this environment.
@@ -47,7 +47,7 @@ def readable(error: Exception) -> str:
 
 
 def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
-    """Refuse an environment in which rclpy can't start.
+    """Refuse an environment in which rclpy can't start: its log folder or, with security, its keystore.
 
     With security, the RuntimeWarning that accompanies an error known to `explain` is switched off.
 
@@ -80,7 +80,7 @@ def explain(message: str) -> str:
 
 
 def _check_log_folder(environment: Mapping[str, str]) -> None:
-    """Refuse a log folder that can't be created or written; its name follows rcl's rules."""
+    """Create the log folder that rcl would use; refuse it if it can't be created or written."""
     remedy = "set ROS_LOG_DIR to a folder that can be written"
     named = environment.get("ROS_LOG_DIR") or f"{environment.get('ROS_HOME') or '~/.ros'}/log"
     if named.startswith("~") and not environment.get("HOME"):

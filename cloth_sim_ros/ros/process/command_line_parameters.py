@@ -17,7 +17,7 @@ _ASSIGN = ":="
 
 
 def command_line_parameters(argv: Sequence[str], *, node: str = "cloth_sim") -> dict[str, Any]:
-    """Return the parameters of ROS arguments and parameter files by full name, before the node exists.
+    """Return the parameters that a command line and its parameter files set for a node, by name; needs no ROS.
 
     The last value counts.
 
@@ -62,7 +62,7 @@ def unused_files(arguments: Sequence[str], *, node: str) -> Iterator[str]:
 
 
 def _rules(argv: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield each parameter, parameter file and remapping of ROS arguments, in order."""
+    """Yield kind and text of each parameter, parameter file and remapping among the ROS arguments, in order."""
     kinds = {"-p": "parameter", "--param": "parameter", "--params-file": "file", "-r": "remap", "--remap": "remap"}
     arguments = iter(argv)
     ros = False
@@ -76,7 +76,7 @@ def _rules(argv: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 
 def _full_name(remappings: Sequence[str], node: str) -> str:
-    """Return a node's full name after remapping; the first of several rules counts."""
+    """Return a node's full name after remapping, without the leading slash; the first of several rules counts."""
     names = {"__node": node, "__ns": "/"}
     for rule in reversed(remappings):
         name, assigned, value = rule.partition(_ASSIGN)
@@ -87,7 +87,7 @@ def _full_name(remappings: Sequence[str], node: str) -> str:
 
 
 def _assignment(rule: str, node: str) -> dict[str, Any]:
-    """Return the parameter that a rule `[node:]name:=value` sets for a node."""
+    """Return the parameter that a rule `[node:]name:=value` sets, as {name: value}; empty if it is another node's."""
     name, assigned, text = rule.partition(_ASSIGN)
     section, _, name = name.rpartition(":")
     if not assigned or (section and not ros_sections.matches(section, node)):

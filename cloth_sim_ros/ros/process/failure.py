@@ -25,11 +25,11 @@ _MAX_REASON_LENGTH = 300
 
 
 class NodeFailedError(RuntimeError):
-    """A frame failed, and `on_failure` is `exit`."""
+    """A frame failed, and the node has to end because `on_failure` is `exit`."""
 
 
 class FailureGuard:
-    """Runs frames. An exception restores the state of the previous frame and stops time until a reset.
+    """Runs frames; an exception in one restores the state before it and stops time until a reset.
 
     MemoryError, StopRequestedError and exceptions outside the class Exception propagate. If a callback that holds
     `callback_lock` raises, the next frame fails.
@@ -56,11 +56,11 @@ class FailureGuard:
 
     @property
     def refusal(self) -> str:
-        """Answer to requests while failed; empty otherwise."""
+        """Text by which requests are refused while the node is failed, with reason and remedy; empty otherwise."""
         return f"failed: {self.reason}; call ~/reset" if self.reason else ""
 
     def run(self, frame: Callable[[], None], stamp: int) -> None:
-        """Run the frame due at a ROS time [ns]. While failed, refuse the waiting events unless one is a reset."""
+        """Run the frame due at a ROS time [ns]; while failed, run it only if a reset waits, and refuse other events."""
         failed = self.reason
         if failed:
             is_reset = self._queue.contains(Reset)
@@ -102,7 +102,7 @@ class FailureGuard:
             self._log.error(subject, f"{subject}: {describe_exception(error)}{trace}")
 
     def check_exit(self) -> None:
-        """End the executor's spin if `on_failure` says so.
+        """Raise NodeFailedError, which ends the executor's spin, if a frame failed and `on_failure` is `exit`.
 
         Raises:
             NodeFailedError: if a frame failed, and `on_failure` is `exit`.
@@ -133,7 +133,7 @@ class FailureGuard:
 
 
 class CallbackLock:
-    """A lock that intercepts the exception of the callback that holds it.
+    """Lock for callbacks: `defer` receives the exception of the callback that holds it, and may suppress it.
 
     Args:
         lock: the lock to hold.
@@ -144,7 +144,7 @@ class CallbackLock:
         self._lock, self._defer = lock, defer
 
     def __enter__(self) -> None:
-        """Take the lock."""
+        """Take the wrapped lock."""
         self._lock.__enter__()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
@@ -154,7 +154,7 @@ class CallbackLock:
 
 @contextmanager
 def ignore_errors_after_shutdown(node: Node) -> Iterator[None]:
-    """Suppress errors of the middleware if the context was shut down meanwhile.
+    """Context that suppresses RuntimeErrors of rclpy if ROS was shut down meanwhile.
 
     rclpy's signal handlers may shut it down at any moment.
     """

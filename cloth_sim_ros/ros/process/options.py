@@ -10,7 +10,7 @@ from cloth_sim_ros import __version__
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the parser."""
+    """Return the parser of the options of `cloth_sim`: --version, --check and --node."""
     command_parser = argparse.ArgumentParser(
         prog="cloth_sim",
         description="A live cloth in a ROS 2 graph. Parameters: --ros-args -p name:=value, or --params-file file.yaml; "

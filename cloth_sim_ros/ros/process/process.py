@@ -32,7 +32,7 @@ _TAKE_ERRORS = ("RCLError", "RMWError")
 
 
 def run(argv: Sequence[str], signals: StopSignals) -> int:
-    """Run the node.
+    """Run the node until a signal or a failure ends it; return the exit status.
 
     Args:
         argv: the command line, including the command.

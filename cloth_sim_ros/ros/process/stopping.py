@@ -19,10 +19,12 @@ class StopRequestedError(Exception):
 
 
 class StopSignals:
-    """Records the first stop signal. `ros2 launch` sends SIGINT twice on Ctrl-C; the second one changes nothing.
+    """Handlers of SIGINT, SIGTERM and SIGHUP that only record the signal; loops and waits poll `requested`.
+
+    `ros2 launch` sends SIGINT twice on Ctrl-C; the second one changes nothing.
 
     rclpy's handlers would shut the context down at once, with a recording still open and frames still to publish.
-    Python's handlers would raise anywhere. These handlers raise nothing; loops and waits poll `requested`.
+    Python's handlers would raise anywhere. These handlers raise nothing.
     """
 
     def __init__(self) -> None:
@@ -30,22 +32,22 @@ class StopSignals:
         self._exits_at_once = False
 
     def install(self) -> None:
-        """Install the handlers; call it in the main thread."""
+        """Install the handlers of SIGINT, SIGTERM and SIGHUP; call it in the main thread."""
         for signum in _SIGNALS:
             signal.signal(signum, self._on_signal)
 
     def ignore(self) -> None:
-        """Ignore the signals from now on, also during the interpreter's shutdown, which would restore the defaults."""
+        """Ignore stop signals from now on, also in the interpreter's shutdown, which would restore the defaults."""
         for signum in _SIGNALS:
             signal.signal(signum, signal.SIG_IGN)
 
     def name(self) -> str:
-        """Return the name of the signal that has come; empty if none has."""
+        """Return the name of the signal that was received, e.g. SIGINT; empty if none was."""
         return "" if self.requested is None else self.requested.name
 
     @contextmanager
     def exiting_at_once(self) -> Iterator[None]:
-        """End the process at the first signal within this context, because nothing needs a shutdown yet.
+        """Context in which the first signal ends the process at once, because nothing needs a shutdown yet.
 
         Used during imports: an exception there may be mistaken for a missing library and leaves partial modules.
         """
@@ -56,7 +58,7 @@ class StopSignals:
             self._exits_at_once = False
 
     def report_early_stop(self) -> None:
-        """Print one line: a signal came before the node ran."""
+        """Print that a signal stopped the node while it was starting."""
         name = self.requested.name if self.requested else "a signal"
         print(f"cloth_sim: {name}: stopped while starting", file=sys.stderr, flush=True)
 

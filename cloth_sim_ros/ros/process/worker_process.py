@@ -26,7 +26,7 @@ _END_TIMEOUT, _KILL_TIMEOUT = 1.0, 1.0
 
 
 class WorkerProcess(Generic[Job]):
-    """Starts a process without waiting for it, sends it jobs and receives its answers.
+    """Runs a module in a child process, sends it the newest job and receives its answers, without blocking.
 
     Args:
         module: module that the process runs, with this process's id as argument. It reads pickled objects from its
@@ -65,7 +65,7 @@ class WorkerProcess(Generic[Job]):
         return not self._jobs.empty()
 
     def put(self, job: Job) -> Job | None:
-        """Pass a job on; return the waiting one that it replaces, or None."""
+        """Queue a job for the process; return the unsent job that it replaces, or None."""
         replaced = None
         with contextlib.suppress(queue.Empty):
             replaced = self._jobs.get_nowait()
@@ -73,7 +73,7 @@ class WorkerProcess(Generic[Job]):
         return replaced
 
     def close(self) -> None:
-        """End the process."""
+        """End the process by closing its input or by killing it; wait at most 2 s."""
         self._closed.set()
         # No job comes any more: only the thread takes from the queue. It then closes the process's input.
         with contextlib.suppress(queue.Empty):

@@ -24,12 +24,12 @@ _SIGNAL_POLL_PERIOD = 0.1
 
 
 def run_inline(job: Callable[[], T]) -> T:
-    """Run a job in the calling thread, for nodes whose process no signal stops."""
+    """Run a job in the calling thread and return its result; for nodes whose process handles no stop signals."""
     return job()
 
 
 class InterruptibleLock:
-    """A reentrant lock; a signal interrupts a thread that waits for it.
+    """A reentrant lock: a thread that waits for it can be interrupted by SIGINT, SIGTERM or SIGHUP.
 
     Args:
         signal_name: returns the name of the signal that has come; empty if none has.
@@ -40,7 +40,7 @@ class InterruptibleLock:
         self._lock = threading.RLock()
 
     def __enter__(self) -> None:
-        """Take the lock.
+        """Wait for the lock and take it; give up if a stop signal came.
 
         Raises:
             StopRequestedError: if a signal has come and the lock is not free within 0.1 s.
@@ -57,7 +57,7 @@ class InterruptibleLock:
 
 
 class WorkerThread:
-    """Runs one job at a time in a worker thread while the main thread waits.
+    """Runs one job at a time in a worker thread, while the main thread waits and polls for stop signals.
 
     Jobs of other threads run in the calling thread.
 
@@ -78,7 +78,7 @@ class WorkerThread:
         return self._running
 
     def run(self, job: Callable[[], T]) -> T:
-        """Run a job and return what it returns, or raise what it raises.
+        """Run a job in the worker thread and wait for it; return what it returns, or raise what it raises.
 
         Raises:
             StopRequestedError: if a signal came before the job, or comes and the job does not end within 0.1 s. A job
@@ -112,11 +112,11 @@ class WorkerThread:
                     raise StopRequestedError(name) from None
 
     def abandon(self) -> None:
-        """Mark a frame of another thread as abandoned."""
+        """Set `is_abandoned`, because the pacer's thread still computes a frame."""
         self._running = True
 
     def end_process(self, status: int) -> NoReturn:
-        """End the process at once.
+        """End the process at once, without the interpreter's shutdown.
 
         An abandoned job may still be inside the engine, and the interpreter's own shutdown would free memory that the
         job uses.

@@ -29,7 +29,7 @@ _FRAME_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class BagTopics:
-    """Publishes snapshots and frame records while ~/frame has subscribers.
+    """Publishes ~/frame and ~/snapshot, from which a bag can be run again, while ~/frame has subscribers.
 
     Args:
         node: the node.
@@ -60,13 +60,13 @@ class BagTopics:
         self._snapshots = Output(node, UInt8MultiArray, "~/snapshot", sink, qos=LATCHED_QOS)
 
     def restart(self) -> None:
-        """Begin with new numbers and a snapshot: a frame may have failed after its record was published."""
+        """Restart the numbers of records and begin with a snapshot, because a failed frame may have sent its record."""
         self._session, self._sequence, self._subscription_count = secrets.token_hex(8), 0, 0
         #: Number of the record behind the last snapshot.
         self._last_snapshot = 0
 
     def before_frame(self, stamp: int) -> None:
-        """Publish the snapshot before a frame at a ROS time [ns], if it is due: for new subscribers, and in between."""
+        """Publish a snapshot at a ROS time [ns] before a frame if a subscriber is new or the last one is too old."""
         known, self._subscription_count = self._subscription_count, self._frames.subscription_count
         if not self._subscription_count:
             return
@@ -82,7 +82,7 @@ class BagTopics:
                 self._log.error("~/snapshot: no memory is left for it; end other processes, or take a smaller cloth")
 
     def next_labels(self, stamp: int) -> dict[str, Any]:
-        """Count the record of the frame due at a ROS time [ns]; return the entries that place it in a bag.
+        """Return the entries of the next frame record: id of the numbering, number, and stamp [ns].
 
         Without subscribers there are none, and the record is not published.
         """
@@ -91,7 +91,7 @@ class BagTopics:
         return labels if self._subscription_count else {}
 
     def publish(self, record: bytes) -> None:
-        """Publish the bytes of a frame record."""
+        """Publish the bytes of a frame record on ~/frame."""
         self._frames.publish(record)
 
     def _snapshot_bytes(self, stamp: int) -> bytes:

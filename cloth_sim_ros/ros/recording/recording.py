@@ -32,7 +32,7 @@ _COMPRESSION = {"none": (), "lz4": ("lz4.frame",), "zstd": ("zstandard",)}
 
 
 class SessionRecording:
-    """Recordings of one node: at most one at a time, started and ended at frame boundaries.
+    """Records one node's frames and messages into session files; at most one recording runs at a time.
 
     Args:
         node_name: the node's full name, e.g. ``/cloth_sim``.
@@ -139,7 +139,7 @@ class SessionRecording:
         self.missing = ""
 
     def wait_until_open(self) -> Path:
-        """Wait until the file exists, and return its path.
+        """Wait until the file of the started recording exists, and return its path.
 
         Raises:
             RecordingUnavailableError: if the file can't be created; then nothing is recorded.
@@ -159,11 +159,11 @@ class SessionRecording:
         return recorder.status() if recorder is not None else self._last
 
     def notify(self, listener: Callable[[RecorderStatus], None]) -> None:
-        """Call a listener once, when the file of a started recording exists or that of an ended one is closed."""
+        """Register a listener for one call, when the recording's file exists or the ended recording's is closed."""
         self._listeners.append(listener)
 
     def poll(self) -> str:
-        """Call the listeners if their event has come; return an error of the recording once, or an empty text."""
+        """Call the listeners whose event has come; return an error of the recording once, or an empty text."""
         recorder = self._recorder or self._closing
         if recorder is None:
             return ""
@@ -183,7 +183,7 @@ class SessionRecording:
         return reason
 
     def begin_close(self, *, reason: str = "stopped") -> None:
-        """Close the file in the background; `notify` reports its end.
+        """End the recording, and close its file in the background; `notify` reports when it is closed.
 
         Raises:
             RecordingUnavailableError: if no recording runs.
@@ -203,7 +203,7 @@ class SessionRecording:
         return self._last
 
     def before_frame(self, stamp: int) -> None:
-        """Begin a frame at a ROS time [ns]: start a new file if the present one has reached its size limit.
+        """Prepare for a frame at a ROS time [ns]: split the file at its size limit, and buffer records until `commit`.
 
         The recording ends if memory runs out.
         """
@@ -219,25 +219,25 @@ class SessionRecording:
         self._pending = []
 
     def commit(self) -> None:
-        """Write the records of a frame that succeeded."""
+        """Write the buffered records of a frame, because the frame succeeded."""
         pending, self._pending = self._pending, None
         if self._recorder is not None:
             for record in pending or ():
                 record(self._recorder)
 
     def discard(self) -> None:
-        """Drop the records of a frame that failed."""
+        """Drop the buffered records of a frame, because the frame failed."""
         self._pending = None
         if self.bag_topics is not None:
             self.bag_topics.restart()
 
     def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
-        """Record a message's bytes at a ROS time [ns]."""
+        """Record a message's bytes at a ROS time [ns], if a recording runs."""
         if self._recorder is not None:
             self._record(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
 
     def add_frame(self, frame: Frame, stamp: int) -> None:
-        """Record a frame at a ROS time [ns], and publish its record if ~/frame has subscribers; before its messages."""
+        """Write a frame's record (events, steps, digest) before its messages, and to ~/frame if subscribed."""
         extras, self.extras = self.extras, {}
         labels = {} if self.bag_topics is None else self.bag_topics.next_labels(stamp)
         if self._recorder is None and not labels:
@@ -273,7 +273,7 @@ class SessionRecording:
             self._pending.append(lambda recorder: recorder.record(*message, **options))
 
     def save_state(self) -> Path:
-        """Write the cloth's state into the recording folder, and return the file.
+        """Write the cloth's state as .npz into the recording folder, and return its path.
 
         Raises:
             RecordingUnavailableError: if the file can't be written; the message has the cause and the remedy.
@@ -308,7 +308,7 @@ class SessionRecording:
         return path
 
     def snapshot(self) -> SessionSnapshot:
-        """Return the parameters and the state between two frames."""
+        """Return parameters, files and state of the cloth between two frames, with which a session begins."""
         from cloth_sim_ros.session.writer import SessionSnapshot
 
         return SessionSnapshot(
@@ -334,7 +334,7 @@ def _folder(settings: RecordSettings) -> Path:
 
 
 def log_end(logger: Any, status: RecorderStatus) -> None:
-    """Log the end of a recording."""
+    """Log file and size of a closed recording, or the error of a failed one."""
     if status.state == "closed":
         logger.info(
             f"recorded {pluralize(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}"

@@ -25,7 +25,7 @@ _ROSOUT_QOS = QoSProfile(depth=1000)
 
 
 class RosoutRecorder:
-    """Records this node's messages on the topics that all nodes share, while a recording runs.
+    """Records this node's messages on /rosout and /parameter_events while a recording runs.
 
     Args:
         node: the node.
@@ -38,7 +38,7 @@ class RosoutRecorder:
         self._subscriptions: list[Any] = []
 
     def update(self) -> None:
-        """Subscribe while a recording runs, and unsubscribe afterwards: many nodes publish on these topics."""
+        """Subscribe when a recording starts and unsubscribe when it ends: many nodes publish on these topics."""
         if self._sink.running and not self._subscriptions:
             logger, name = self._node.get_logger().name, self._node.get_fully_qualified_name()
             self._subscribe(Log, "/rosout", _ROSOUT_QOS, lambda message: message.name == logger)
@@ -67,7 +67,7 @@ class RosoutRecorder:
 
 @attrs.define(eq=False)
 class RecordingControl:
-    """Starts and ends the recordings of one node.
+    """Starts and ends recordings: with the node, by ~/record, and around failures of the node.
 
     Args:
         node: the node.
@@ -103,7 +103,7 @@ class RecordingControl:
         self._node.get_logger().info(f"recording into {path}")
 
     def switch(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
-        """Start or end a recording, and answer with success and a message."""
+        """Start or end a recording; call `answer` with success and a message when its file is open or closed."""
         self._node.get_logger().debug(f"~/record: {'begins' if begin else 'ends'} a recording")
         try:
             if begin:
@@ -132,7 +132,7 @@ class RecordingControl:
         self.session.notify(finish)
 
     def fail(self, reason: str, _stamp: int) -> None:
-        """End the recording, if one runs, with the reason of a failure; `resume` starts another after the reset."""
+        """End the recording, if one runs, with the reason of a failure; `update` starts another after the reset."""
         self.session.discard()
         if self.session.running:
             self._resumes = True
@@ -140,7 +140,7 @@ class RecordingControl:
             self.session.notify(lambda status: log_end(self._node.get_logger(), status))
 
     def update(self) -> str:
-        """Follow the state of the recording; return an error of the recording once. Call it periodically.
+        """Call the recording's listeners, and resume it after a failure; return its error once. Call it periodically.
 
         After a failure ended a recording, a new one starts when the node has recovered.
         """
@@ -157,7 +157,7 @@ class RecordingControl:
             self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
 
     def end(self, *, timeout: float) -> None:
-        """End the recording with the node, within a time [s]."""
+        """End the recording because the node ends, within a time [s], and log the result."""
         status = self.session.end(reason="node stopped", timeout=timeout)
         if status is not None:
             log_end(self._node.get_logger(), status)

@@ -23,7 +23,7 @@ _SLOW = 0.95
 
 @attrs.define
 class FrameTally:
-    """Frame counts and times of one node, and their values at the last report."""
+    """Counts of frames and late frames of a node and their wall times, in total and since the last report."""
 
     #: Frames in which time passed.
     frames: int = 0
@@ -37,13 +37,13 @@ class FrameTally:
     _begun: float = attrs.field(factory=time.monotonic)
 
     def add(self, *, moved: bool, seconds: float) -> None:
-        """Count a frame that took some wall time [s]."""
+        """Count a frame and its wall time [s]; `moved` is true if simulated time passed in it."""
         self.frames += moved
         self.busy += seconds
         self.longest = max(self.longest, seconds)
 
     def begin(self) -> None:
-        """Restart the time measurement; counts stay."""
+        """Restart the time measurement when frames begin; counts stay."""
         self._since = self._begun = time.monotonic()
 
     def overall_factor(self, period: float) -> float:
@@ -51,7 +51,7 @@ class FrameTally:
         return self.frames * period / max(time.monotonic() - self._begun, 1e-9)
 
     def report(self, period: float) -> dict[str, Any]:
-        """Return rates since the last report, for frames of a simulated period [s]."""
+        """Return real-time factor, late frames, load and longest frame [s] since the last report."""
         now = time.monotonic()
         elapsed = max(now - self._since, 1e-9)
         frames, late, busy = self._reported
@@ -67,7 +67,7 @@ class FrameTally:
 
 
 class DiagnosticsPublisher:
-    """Publishes reports.
+    """Publishes the node's diagnostics on /diagnostics.
 
     Args:
         node: the node.
@@ -85,7 +85,7 @@ class DiagnosticsPublisher:
         self._output = Output(node, DiagnosticArray, "/diagnostics", sink)
 
     def send(self) -> None:
-        """Publish the present report."""
+        """Collect the present diagnostics; publish them if there is a subscriber or a recording."""
         has_consumers = self._output.has_consumers
         level, summary, values = self._collect(has_consumers)
         if not has_consumers:

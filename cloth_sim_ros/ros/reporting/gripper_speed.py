@@ -9,7 +9,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class GripperSpeedMonitor:
-    """Warns when a gripper reaches its speed limit.
+    """Warns when a gripper begins to lag because its target moves faster than its speed limit.
 
     Args:
         simulation: the cloth.
@@ -21,7 +21,7 @@ class GripperSpeedMonitor:
         self._limited: set[str] = set()
 
     def check(self) -> None:
-        """Check the newest frame."""
+        """Warn of grippers that reached their speed limit in the newest frame."""
         grippers = self._simulation.grippers
         limited = grippers.speed_limited
         if not limited and not self._limited:
@@ -31,6 +31,7 @@ class GripperSpeedMonitor:
         self._limited = set(limited)
 
     def _warning(self, name: str, requested: float) -> str:
+        """Return the warning for a gripper whose target asks for a speed [m/s] above its limit."""
         scene, grippers = self._simulation.scene, self._simulation.grippers
         parameter = individual if (individual := f"{name}.max_speed") in scene.individual else "gripper.max_speed"
         speed = scene.of_gripper(name, "max_speed")

@@ -33,24 +33,24 @@ class ThrottledLog:
         self._left_out: dict[str, tuple[int, str, str]] = {}
 
     def debug(self, message: Callable[[], str]) -> None:
-        """Log a DEBUG line, unthrottled. Its text is built only while the level is DEBUG."""
+        """Log a DEBUG line, unthrottled; `message` builds its text and is called only while the level is DEBUG."""
         if self.debugging:
             self._logger.debug(message())
 
     def info(self, kind: str, message: str) -> None:
-        """Log at level INFO."""
+        """Log a message at level INFO, or count it as omitted if one of its kind was just logged."""
         self._log(kind, message, _INFO)
 
     def warn(self, kind: str, message: str) -> None:
-        """Log at level WARN."""
+        """Log a message at level WARN, or count it as omitted if one of its kind was just logged."""
         self._log(kind, message, _WARN)
 
     def error(self, kind: str, message: str) -> None:
-        """Log at level ERROR."""
+        """Log a message at level ERROR, or count it as omitted if one of its kind was just logged."""
         self._log(kind, message, _ERROR)
 
     def flush(self) -> None:
-        """Update the level, and log the newest omitted message of each kind whose period is over.
+        """Log the newest omitted message of each kind whose period is over, and update whether DEBUG is logged.
 
         Call it periodically.
         """

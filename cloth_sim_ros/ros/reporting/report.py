@@ -29,7 +29,7 @@ DiagnosticsReport = tuple[bytes, str, dict[str, str]]
 
 
 def start_summary(simulation: Simulation, *, follows_clock: bool) -> str:
-    """Return the node's first log line."""
+    """Return the node's first log line: particles, rate, grippers, obstacles and size of the cloth."""
     scene, count = simulation.scene, simulation.state.particle_count
     names = f"grippers: {', '.join(scene.gripper_names) or 'none'}"
     if scene.obstacle_names:
@@ -41,7 +41,7 @@ def start_summary(simulation: Simulation, *, follows_clock: bool) -> str:
 
 
 def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: bool) -> None:
-    """Log the node's first line, and a warning on each implausible size."""
+    """Log the node's first line, and warnings of implausible sizes and of a reduced contact thickness."""
     logger.info(start_summary(simulation, follows_clock=follows_clock))
     for sentence in implausible_sizes(simulation.scene, simulation.state.x, simulation.model.masses):
         logger.warning(sentence)
@@ -50,15 +50,15 @@ def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: b
 
 
 class DiagnosticsSource(Protocol):
-    """A part with entries in the diagnostics."""
+    """Protocol of a part of the node that adds entries to the diagnostics."""
 
     def describe(self) -> dict[str, str]:
-        """Return the entries."""
+        """Return this part's diagnostics entries by key."""
 
 
 @attrs.define(eq=False)
 class DiagnosticsCollector:
-    """Collects level, summary and values for /diagnostics.
+    """Collects level, summary and key-value pairs of one message on /diagnostics.
 
     Args:
         node: the node.
@@ -90,7 +90,7 @@ class DiagnosticsCollector:
         self.gauge = StrainGauge(self._simulation.scene)
 
     def __call__(self, has_consumers: bool = True) -> DiagnosticsReport:
-        """Return the present report; the strain is measured only if a subscriber or a recording takes the report."""
+        """Return level, summary and values; measure the strain only if a subscriber or recording takes them."""
         period = self._simulation.scene.period
         rates = self._timing.tally.report(period)
         values = {
@@ -135,6 +135,7 @@ class DiagnosticsCollector:
         return DiagnosticStatus.OK, "running", values
 
     def _describe_motion(self, has_consumers: bool) -> dict[str, str]:
+        """Return the entries on strain, energy and steps of the newest frame."""
         advance = self.advance
         strain = self.gauge.largest(self._simulation.state.x) if has_consumers else None
         energy = self._simulation.energy_report

@@ -28,7 +28,7 @@ MAINTENANCE_PERIOD = 0.25
 
 
 class Reporting:
-    """Reports of one node in its log and on /diagnostics.
+    """Writes the node's log lines on frames, publishes /diagnostics, and runs the accuracy monitor.
 
     Args:
         node: the node.
@@ -67,13 +67,13 @@ class Reporting:
         self._parameters_changed = False
 
     def start(self, *, is_live: bool) -> None:
-        """Log the expected speed if frames are due by wall time, and schedule the first diagnostics."""
+        """Schedule the first diagnostics; if frames are due by wall time, log the expected real-time factor."""
         if is_live:
             self.performance.report()
         self._next_report_time = time.monotonic() + PERIOD
 
     def observe(self, frame: Frame, trouble: str) -> None:
-        """Take a frame, and the reason if time is stopped, before the frame is published."""
+        """Examine a frame before it is published: log that time is stopped, check speeds, feed the accuracy monitor."""
         if trouble and not self.collector.trouble:
             self._node.get_logger().error(
                 f"time is stopped: {trouble}; set other parameters or call ~/reset, then ~/pause false"
@@ -84,7 +84,7 @@ class Reporting:
         self._parameters_changed |= any(isinstance(event, SetParameters) for event in frame.events)
 
     def log_frame(self, frame: Frame) -> None:
-        """Log the events and results of a frame that was published."""
+        """Log results of grasps and reduced contacts of a published frame, and at DEBUG its events and integrator."""
         self._inputs.commands.log_grasps(frame)
         if self.log.debugging:
             self._log_details(frame)
@@ -92,7 +92,7 @@ class Reporting:
         self.collector.advance = frame.advance or self.collector.advance
 
     def update(self) -> None:
-        """Publish diagnostics if they are due. No timer of its own: the executor would check it in each spin."""
+        """Publish diagnostics if a second has passed. No timer of its own: the executor would check it in each spin."""
         now = time.monotonic()
         if now >= self._next_report_time:
             self._next_report_time = max(self._next_report_time, now - MAINTENANCE_PERIOD) + PERIOD
@@ -100,7 +100,7 @@ class Reporting:
             self._failure.attempt("diagnostics are not published", self.diagnostics.send)
 
     def report_changes(self) -> None:
-        """Start or end the accuracy monitor by its parameter; log reports of processes, and speed after a change."""
+        """Start or end the accuracy monitor by its parameter; log messages of child processes and a changed speed."""
         self.accuracy.update()
         self._outputs.report_processes()
         if self._parameters_changed:

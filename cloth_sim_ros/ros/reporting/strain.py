@@ -14,7 +14,7 @@ MAX_EDGES = 400_000
 
 
 class StrainGauge:
-    """Measures the elongation of the surface's edges relative to their rest lengths."""
+    """Measures the largest elongation of the edges of triangles relative to their rest lengths."""
 
     def __init__(self, scene: Scene) -> None:
         sheet = scene.sheet
@@ -27,7 +27,7 @@ class StrainGauge:
         self._inverse_squares = lengths[lengths > 0.0] ** -2.0
 
     def largest(self, x: Array) -> float | None:
-        """Return the largest relative elongation at x [m], shape (3, n); None if there are no edges or too many."""
+        """Return the largest strain of an edge at x [m], shape (3, n); None if there are no edges or too many."""
         if not 0 < len(self._inverse_squares) <= MAX_EDGES:
             return None
         # One component at a time and one root at the end: a quarter of the time.

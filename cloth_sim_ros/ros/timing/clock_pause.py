@@ -10,7 +10,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class ClockPause:
-    """Pauses the simulation by recorded events while /clock stands, and restores the user's pause afterwards.
+    """Pauses the simulation while a followed /clock stands still, and restores the user's pause afterwards.
 
     Args:
         simulation: the cloth.
@@ -27,11 +27,11 @@ class ClockPause:
 
     @property
     def user_paused(self) -> bool:
-        """The pause that the user requested, whether or not /clock stands."""
+        """True if the user paused the cloth, regardless of /clock."""
         return self._user_pause if self._is_active else self._simulation.paused
 
     def events(self, *, stands: bool) -> tuple[list[Event], list[Event]]:
-        """Return the first and the last events of a frame.
+        """Return the pause events to add before and after the user's events of a frame.
 
         Args:
             stands: true if /clock stands.
@@ -43,7 +43,7 @@ class ClockPause:
         return [], [Pause(True)] if self._has_added_pause else []
 
     def commit(self, frame: Frame, *, stands: bool) -> None:
-        """Update the pauses after a frame that succeeded."""
+        """Update the user's pause from the events of a frame that succeeded."""
         if not stands:
             self._is_active = False
             return

@@ -22,7 +22,7 @@ _SLOW_FACTOR, _DELAY_FRACTION = 1.2, 0.25
 
 
 class ClothClock:
-    """Publishes the simulated time of each frame to subscribers.
+    """Publishes the simulated time of each frame on ~/clock.
 
     The topic is not recorded, because the frame records hold the time.
 
@@ -35,7 +35,7 @@ class ClothClock:
         self._output = Output(node, Clock, f"~/{TOPIC}", sink)
 
     def send(self, seconds: float) -> None:
-        """Publish the time at the end of a frame [s]."""
+        """Publish the simulated time at the end of a frame [s], if ~/clock has subscribers."""
         if self._output.has_subscribers:
             message = Clock()
             set_stamp(message.clock, round(seconds * SECOND))
@@ -43,7 +43,7 @@ class ClothClock:
 
 
 class ClothTime:
-    """Simulated time of another node's cloth, frame by frame.
+    """Subscriber of another node's ~/clock: the simulated time of its cloth, by which clients time targets.
 
     Args:
         node: the caller's node.
@@ -64,7 +64,7 @@ class ClothTime:
         node.create_subscription(State, f"{target}/state", self._on_state, LATCHED_QOS)
 
     def now(self) -> int | None:
-        """Return the time at the end of the frame after the newest [ns]; None before the first.
+        """Return the end of the frame that the cloth computes next, in simulated time [ns]; None before the first.
 
         One target a frame, for the frame's end, moves a gripper evenly, however long frames take. The time goes back
         only if the node was restarted.
@@ -76,12 +76,12 @@ class ClothTime:
 
     @property
     def send_time(self) -> float:
-        """Steady time at which to send the next target [s]: now, unless the cloth is slow."""
+        """Steady time at which to send the next target [s]: when the newest frame came, later if the cloth is slow."""
         is_slow = self.period and self._interval > _SLOW_FACTOR * self.period / SECOND
         return self._arrival + (_DELAY_FRACTION * self._interval if is_slow else 0.0)
 
     def describe(self) -> str:
-        """Return the state of a cloth whose time stands, as the end of a sentence."""
+        """Return why the cloth's time does not advance, as the end of a sentence."""
         if self._newest is None:
             return f"has published nothing on {self._topic}, its simulated time,"
         return f"stands at {self._newest / SECOND:.3f} s of simulated time (~/state: {self._label or 'not known'})"

@@ -29,7 +29,7 @@ _ITSELF = "itself"
 
 
 class DeadlineMonitor:
-    """Monitors frames that are due by wall time.
+    """Logs when frames that are due by wall time start and stop missing their period.
 
     Args:
         period: time between two frames [s].
@@ -49,7 +49,7 @@ class DeadlineMonitor:
         self._begin_window()
 
     def begin_contact(self, names: str) -> None:
-        """Restart the window, because a contact has begun.
+        """Restart the window of counted frames because contact has begun; a warning at its end names the contact.
 
         Args:
             names: of the contacts, as the end of a sentence.
@@ -58,7 +58,7 @@ class DeadlineMonitor:
         self._begin_window()
 
     def count(self, *, lateness: int, skipped: int, seconds: float, follows_clock: bool) -> int:
-        """Return the number of late ticks: a frame's own and those skipped before it.
+        """Add a frame to the window, unless /clock makes frames due, and return its number of late ticks.
 
         Args:
             lateness: delay of the frame's start behind its tick [ns].
@@ -75,7 +75,7 @@ class DeadlineMonitor:
         return late
 
     def add(self, *, late: int, skipped: int, seconds: float) -> None:
-        """Add a frame to the window.
+        """Add a frame to a window of at least 2 s; at its end, log if frames began or ceased to be late.
 
         Args:
             late: number of late ticks, the frame's own and those skipped before it.
@@ -138,7 +138,7 @@ class DeadlineMonitor:
 
 
 class FirstContact:
-    """Detects contacts that begin, once for each.
+    """Detects the first contact of the cloth with each obstacle, with pads, and with itself.
 
     Args:
         simulation: the cloth.
@@ -149,7 +149,7 @@ class FirstContact:
         self._reported: set[str] = set()
 
     def new_contacts(self, frame: Frame) -> str:
-        """Return the names of the contacts that a frame began for the first time, as text; empty if none."""
+        """Return as text the names of obstacles and grippers that a frame touched for the first time; empty if none."""
         contact = self._simulation.plan.contact
         if contact is None or not frame.moved or frame.advance is None or not frame.advance.steps:
             return ""

@@ -22,7 +22,7 @@ MAX_QUEUED_EVENTS = 8192
 
 @attrs.frozen(kw_only=True)
 class EventResult:
-    """The effect of an event."""
+    """Result of an event: the frame in which it took effect, or the reason why it did not."""
 
     #: The frame in which the event took effect; None if it did not.
     frame: Frame | None
@@ -37,7 +37,7 @@ AnswerCallback = Callable[[EventResult], None]
 
 @attrs.frozen(kw_only=True)
 class QueuedEvent:
-    """A waiting event."""
+    """Event that waits for its frame, with its due time and the callback for its result."""
 
     event: Event
     #: The first frame due at or after this ROS time [ns] takes the event; 0 for the next frame.
@@ -47,11 +47,11 @@ class QueuedEvent:
 
 
 class QueueFullError(RuntimeError):
-    """Too many events wait."""
+    """The queue of events is full and holds no target that could be evicted."""
 
 
 class EventQueue:
-    """Events in order of arrival. It is not thread-safe: callers hold the node's lock."""
+    """Events that wait for a frame, in order of arrival. It is not thread-safe: callers hold the node's lock."""
 
     def __init__(self) -> None:
         self._entries: list[QueuedEvent] = []
@@ -62,7 +62,7 @@ class EventQueue:
         return len(self._entries)
 
     def evict_target(self, event: Event) -> None:
-        """Evict the oldest target if the queue is full.
+        """Make room for an event: remove the oldest target if the queue is full.
 
         Raises:
             QueueFullError: if the queue is full and holds no target.
@@ -101,11 +101,11 @@ class EventQueue:
         return sorted(ready, key=lambda entry: entry.stamp)
 
     def contains(self, kind: type[Event]) -> bool:
-        """Return true if an event of a class waits."""
+        """Return true if an event of a class waits in the queue."""
         return any(isinstance(entry.event, kind) for entry in self._entries)
 
     def refuse(self, reason: str, *, keep: tuple[type[Event], ...] = ()) -> None:
-        """Answer waiting events with the reason why they take no effect, except those of the classes in `keep`."""
+        """Remove waiting events and answer them with a reason, except those of the classes in `keep`."""
         entries = [entry for entry in self._entries if not isinstance(entry.event, keep)]
         self._entries = [entry for entry in self._entries if isinstance(entry.event, keep)]
         for entry in entries:

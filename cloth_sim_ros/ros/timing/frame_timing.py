@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class FrameTiming:
-    """Pacer, pause by a standing /clock, deadlines and tolerance governor of one node.
+    """Starts the frames of a node when due, counts late ones, and governs the tolerance.
 
     Args:
         node: the node.
@@ -59,7 +59,7 @@ class FrameTiming:
         on_jump_back: Callable[[int, int], None],
         on_jump_forward: Callable[[int], None],
     ) -> None:
-        """Start the pacer, which calls the functions.
+        """Start the pacer; from then on it calls `on_tick` for each frame that is due.
 
         Args:
             on_tick: computes a frame.
@@ -89,7 +89,7 @@ class FrameTiming:
         return self.pacer is None or self.pacer.stop()
 
     def count(self, frame: Frame, tick: FrameTick, seconds: float) -> None:
-        """Count a frame that took some wall time [s], and the ticks that it missed."""
+        """Count a frame with its wall time [s] and missed ticks, for diagnostics, deadlines and the governor."""
         self.tally.add(moved=frame.moved, seconds=seconds)
         self.governor.add(frame, seconds)
         if not self.follows_clock and (contacts := self._first_contact.new_contacts(frame)):
@@ -99,20 +99,20 @@ class FrameTiming:
         )
 
     def check_clock(self) -> None:
-        """Detect that a followed /clock stands, or that others publish it too. Call it a few times a second."""
+        """Check if a followed /clock stands, and if others publish it too. Call it a few times a second."""
         if isinstance(self.pacer, ClockPacer):
             self.pacer.check()
         if self.clock_publisher is not None:
             self.clock_publisher.check()
 
     def stamps(self, tick: FrameTick) -> tuple[int, int]:
-        """Return the stamp of a tick's frame, and the time up to which it takes commands [ns]."""
+        """Return the stamp of a frame's messages, and the ROS time up to which it takes queued events [ns]."""
         if self.clock_publisher is None:
             return tick.stamp, max(tick.stamp, tick.now)
         return self.clock_publisher.now, self.clock_publisher.now + round(SECOND / self.stepper.simulation.scene.rate)
 
     def publish_clock(self, frame: Frame, stamp: int) -> int:
-        """Publish /clock if the scene asks for it; return the stamp of a frame's messages [ns].
+        """Publish /clock if `publish_clock` is set; return the stamp of a frame's messages [ns].
 
         Args:
             frame: the frame.

@@ -42,7 +42,7 @@ _MIN_STANDING_PERIOD = 0.01
 
 @attrs.frozen(kw_only=True)
 class FrameTick:
-    """The request of one frame."""
+    """Request to compute one frame, with stamp and lateness."""
 
     #: ROS time of the tick [ns].
     stamp: int
@@ -59,7 +59,7 @@ class FrameTick:
 
 
 class WallPacer:
-    """Ticks by wall time. If a frame takes longer than the period, the ticks that it missed are skipped.
+    """Requests a frame at each period of wall time; if a frame takes longer, the ticks that it missed are skipped.
 
     A timer thread waits for each tick and requests a spin of the executor. The executor drains the command queues, then
     runs the frame. A spin checks every entity of the node, which costs as much time as the frame of a small cloth.
@@ -105,7 +105,7 @@ class WallPacer:
         self._error: BaseException | None = None
 
     def start(self) -> None:
-        """Start. The first tick comes one period later."""
+        """Start the timer thread. The first tick comes one period later."""
         self._start = time.monotonic_ns()
         # Held until the end: waiting for a lock costs half as much as waiting for an event.
         self._ended = threading.Lock()
@@ -127,10 +127,11 @@ class WallPacer:
         return True
 
     def _tick_index(self) -> int:
-        """Index of the newest tick."""
+        """Index of the newest tick: number of periods since the start."""
         return (time.monotonic_ns() - self._start) // self.period
 
     def _timer_loop(self) -> None:
+        """Wait for each tick; run its frame in this thread, or request a spin of the executor."""
         while True:
             is_late = self._tick_index() > self._last_tick
             wait = 0 if is_late else self._start + (self._last_tick + 1) * self.period - time.monotonic_ns()
@@ -165,11 +166,12 @@ class WallPacer:
         return since is not None and time.monotonic_ns() - since < EXECUTOR_TIMEOUT * _SECOND
 
     def _note_spin(self) -> None:
-        """Restart the time limit of a pending spin: the executor spins."""
+        """Restart the timeout of a pending spin, because the executor has spun."""
         if self._pending_since is not None:
             self._pending_since = time.monotonic_ns()
 
     def _serve(self) -> None:
+        """Run the due frame in the executor, if all commands were taken; else request another spin."""
         if self._error is not None:
             raise self._error
         if self._timer_thread is None:
@@ -189,6 +191,7 @@ class WallPacer:
                 self._running.release()
 
     def _run(self) -> None:
+        """Call `on_tick` for the newest tick, unless its frame was already computed."""
         now = time.monotonic_ns()
         index = (now - self._start) // self.period
         if index <= self._last_frame:
@@ -200,7 +203,7 @@ class WallPacer:
         self._on_tick(FrameTick(stamp=stamp, lateness=now - tick_time, skipped=skipped, now=start_stamp))
 
     def _stamp_of(self, tick_time: int, periods: int) -> tuple[int, int]:
-        """Return the ROS time of a tick and the present ROS time [ns].
+        """Return the ROS time of a tick, evenly spaced, and the present ROS time [ns].
 
         Stamps are evenly spaced. If the clocks drift apart, stamps are corrected by at most 1 % of the period. They
         jump if the ROS clock jumps.
@@ -222,7 +225,7 @@ class WallPacer:
 
 
 class ClockPacer:
-    """Ticks at multiples of the period on `/clock`: stamps do not depend on how often `/clock` is published.
+    """Requests a frame at each multiple of the period on /clock, however often /clock is published.
 
     After a jump back, ticks start again from there. After a jump forward, the ticks of the last second are caught up.
     While `/clock` stands, ticks come by wall time with the standing time as stamp; their frames advance no time.
@@ -257,7 +260,7 @@ class ClockPacer:
         self._standing_timer: Timer | None = None
 
     def start(self) -> None:
-        """Start. The first tick comes at the next multiple of the period on /clock."""
+        """Start the ticks. The first comes at the next multiple of the period on /clock."""
         threshold = JumpThreshold(
             min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
         )
@@ -277,7 +280,7 @@ class ClockPacer:
 
     @property
     def has_clock(self) -> bool:
-        """True once a time has come on /clock."""
+        """True once a message has come on /clock."""
         return self._next_index is not None or self._node.has_clock_time
 
     def describe(self) -> tuple[bytes, str] | None:
@@ -289,7 +292,7 @@ class ClockPacer:
         return DiagnosticStatus.OK, f"/clock stands at {self._max_stamp / _SECOND:.3f} s"
 
     def check(self) -> None:
-        """Detect that /clock stands. The executor that takes /clock calls this a few times a second."""
+        """Detect that /clock stands, and start the ticks by wall time for that case. Call it a few times a second."""
         now = time.monotonic()
         # A busy executor may not have taken the messages that came.
         elapsed, self._last_check = min(now - self._last_check, _MAX_CHECK_INTERVAL), now
@@ -325,7 +328,7 @@ class ClockPacer:
         return int(index * _SECOND / self._rate)
 
     def _first_index_from(self, time: int) -> int:
-        """Index of the first tick at or after a time [ns]."""
+        """Return the index of the first tick at or after a time on /clock [ns]."""
         index = int(time * self._rate / _SECOND)
         while self._tick_time(index) < time:
             index += 1

@@ -26,7 +26,7 @@ _WARNING_PERIOD = 60.0
 
 
 def check_sim_time(value: Any) -> None:
-    """Refuse a value that is not a bool; rclpy would log an error and use wall time.
+    """Refuse a value of `use_sim_time` that is not a bool; rclpy would log an error and use wall time.
 
     Raises:
         ParameterError: names the allowed values.
@@ -36,7 +36,7 @@ def check_sim_time(value: Any) -> None:
 
 
 class SimTimeNode(Node):
-    """rclpy's node that ignores messages on /clock without a valid time.
+    """rclpy's node, except that it ignores messages on /clock whose time is invalid.
 
     rclpy's subscription of /clock raises for times before 0, and accepts times that no stamp can hold.
     """
@@ -45,7 +45,7 @@ class SimTimeNode(Node):
     has_clock_time = False
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """Create a subscription as rclpy does, which subscribes to /clock by this method too."""
+        """Create a subscription; that of /clock, which rclpy itself creates by this method, drops invalid times."""
         log = ThrottledLog(self.get_logger(), seconds=_WARNING_PERIOD)
 
         def take_valid(message: Clock) -> Any:
@@ -79,11 +79,11 @@ class ClockSilence:
 
     @property
     def seconds(self) -> float:
-        """Time since the start [s]."""
+        """Time since this object was created [s]."""
         return self._seconds() - self._began
 
     def check(self) -> None:
-        """Warn if a warning is due. Call it periodically while no message has come."""
+        """Log the warning if it is due. Call it periodically while no message has come on /clock."""
         now = self._seconds()
         if now <= self._next_warning:
             return

@@ -20,7 +20,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class Stepper:
-    """Advances a simulation with the events of a queue.
+    """Computes frames of the simulation with the events that wait in a queue.
 
     Args:
         simulation: the cloth.
@@ -43,7 +43,7 @@ class Stepper:
         self._results: list[tuple[QueuedEvent, EventResult]] = []
 
     def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame | None:
-        """Compute the frame due at a ROS time, with the events that wait for it; return None if it was aborted.
+        """Compute the frame due at a ROS time [ns] with the events queued for it; return None if it was aborted.
 
         Args:
             stamp: ROS time [ns]; events with later stamps stay in the queue.
@@ -98,14 +98,14 @@ class Stepper:
         return None if self.aborted else frame
 
     def answer(self) -> None:
-        """Answer the events of the newest frame."""
+        """Call the answer callbacks of the newest frame's events with their results."""
         results, self._results, self._entries = self._results, [], []
         for entry, result in results:
             if entry.answer is not None:
                 entry.answer(result)
 
     def refuse(self, reason: str) -> None:
-        """Answer the events of a frame that failed."""
+        """Call the answer callbacks of the newest frame's events with the reason why the frame failed."""
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
 

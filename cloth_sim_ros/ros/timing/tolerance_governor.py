@@ -32,7 +32,7 @@ _MIN_STEP_RATIO = 1.1
 
 
 class ToleranceGovernor:
-    """Measures frame times, and relaxes or tightens the tolerance.
+    """Relaxes the tolerance while frames overrun and accuracy limits the step; restores it afterwards.
 
     Args:
         simulation: the cloth; the governor is active if its parameter `overload` is `relax`.
@@ -55,7 +55,7 @@ class ToleranceGovernor:
         return self.live and self._simulation.scene.overload == "relax"
 
     def events(self) -> list[Relax]:
-        """Return the events at the start of the next frame."""
+        """Return the event that changes the tolerance at the start of the next frame, if a change is due."""
         factor = relaxation.factor_of(self._simulation.state)
         if not self._is_active and factor != 1.0:
             self._begin_window()
@@ -65,7 +65,7 @@ class ToleranceGovernor:
         return [] if requested is None or requested == factor else [Relax(requested)]
 
     def add(self, frame: Frame, seconds: float) -> None:
-        """Add a frame with its wall time [s]."""
+        """Add a frame's wall time [s]; at the end of a window of at least 0.5 s, decide on a change of tolerance."""
         if not self._is_active or not frame.moved or frame.advance is None:
             return
         period = self._simulation.scene.period
@@ -78,7 +78,7 @@ class ToleranceGovernor:
         self._evaluate(load, frame.advance)
 
     def describe(self) -> dict[str, str]:
-        """Return the set tolerance, the one in force, and the reason, for diagnostics."""
+        """Return diagnostics entries: the tolerance that was set, the one in force [m], and the reason."""
         scene = self._simulation.scene
         has_tolerance = bool(scene.tolerance) and not scene.step
         factor = relaxation.factor_of(self._simulation.state)
@@ -142,7 +142,7 @@ class ToleranceGovernor:
 
 
 def is_accuracy_limited(advance: Advance, duration: float) -> bool:
-    """Return true if a frame took more steps than stability requires; frames of two steps have the fewest.
+    """Return true if accuracy rather than stability set the step: a frame took more steps than stability needs.
 
     Args:
         advance: the steps of the frame.

@@ -36,12 +36,12 @@ class ParameterError(ValueError):
 
     @property
     def sentences(self) -> list[str]:
-        """Messages, one for each fault."""
+        """Messages of the error, one for each fault."""
         return [str(self)]
 
 
 class ParameterErrors(ParameterError):
-    """Several faults of parameters, one per line."""
+    """An error with several faults of parameters, one per line of its message."""
 
     def __init__(self, sentences: Sequence[str]) -> None:
         super().__init__("\n".join(sentences))
@@ -49,12 +49,12 @@ class ParameterErrors(ParameterError):
 
     @property
     def sentences(self) -> list[str]:
-        """Messages, one for each fault."""
+        """Messages of the error, one for each fault."""
         return list(self._sentences)
 
 
 class Faults:
-    """Collects faults of parameters, so that one error names all of them."""
+    """Collects the messages of several faults of parameters, so that one error names all of them."""
 
     def __init__(self) -> None:
         self._sentences: list[str] = []
@@ -64,15 +64,15 @@ class Faults:
 
     @property
     def sentences(self) -> list[str]:
-        """Messages, one for each fault."""
+        """Messages of the collected faults."""
         return list(self._sentences)
 
     def add(self, sentences: Iterable[str]) -> None:
-        """Add faults that are not known yet."""
+        """Add messages of faults, except those that were added before."""
         self._sentences += [sentence for sentence in sentences if sentence not in self._sentences]
 
     def collect(self, check: Callable[[], Any]) -> Any:
-        """Return the result of a check. If it raises ParameterError, add the faults and return None."""
+        """Call a check, and return its result; if it raises ParameterError, add its faults and return None."""
         try:
             return check()
         except ParameterError as error:
@@ -80,7 +80,7 @@ class Faults:
             return None
 
     def refuse(self) -> None:
-        """Raise an error that names every fault, if there are any.
+        """Raise one error that names every collected fault; do nothing if there are none.
 
         Raises:
             ParameterError: with a single message, or several, one per line.
@@ -93,7 +93,7 @@ class Faults:
 
 @attrs.frozen(kw_only=True)
 class Parameter:
-    """Declaration of one parameter."""
+    """Declaration of one parameter: name, type, default, unit, range and description."""
 
     #: Full name, e.g. ``cloth.size``.
     name: str = ""
@@ -119,12 +119,12 @@ class Parameter:
 
     @property
     def element(self) -> str:
-        """Kind of one entry."""
+        """Type of one entry of an array, or of a single value: bool, int, double or string."""
         return self.kind.removesuffix("[]")
 
     @property
     def min_accepted(self) -> float | None:
-        """Smallest accepted value; None without a range.
+        """Smallest value that is accepted; None without a range.
 
         If the minimum 0 is excluded, this is the smallest normal number, because divisions by a smaller one overflow.
         """
@@ -138,7 +138,7 @@ class Parameter:
         return self.kind.endswith("[]")
 
     def check(self, value: Any) -> Any:
-        """Return the value in its own type, arrays as tuples.
+        """Check a value's type, length, range and choice; return it in its own type, arrays as tuples.
 
         Raises:
             ParameterError: for a wrong type, length, range or choice.
@@ -190,7 +190,7 @@ def _python_scalar(entry: Any) -> Any:
 
 
 def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:
-    """Declare a field of a configuration class; options are those of `Parameter`."""
+    """Declare a field of a configuration class as a parameter; options are those of `Parameter`."""
     if kind.endswith("[]"):
         default = tuple(default)
     declared = Parameter(kind=kind, default=default, description=description, **options)
@@ -203,12 +203,12 @@ def _leaf(field: attrs.Attribute[Any]) -> str:
 
 
 def section(cls: type) -> Any:
-    """Declare a field that holds a further configuration class, its names prefixed by the field's."""
+    """Declare a field that holds a nested configuration class; its parameters' names begin with the field's."""
     return attrs.field(factory=cls, metadata={_SECTION: cls})
 
 
 def declared(cls: type, prefix: str = "") -> tuple[Parameter, ...]:
-    """Return every parameter of a configuration class and its sections, by full name with a prefix."""
+    """Return the declarations of all parameters of a configuration class, their names behind a prefix."""
     return _declared(cls, prefix)
 
 
@@ -224,7 +224,7 @@ def _declared(cls: Any, prefix: str) -> tuple[Parameter, ...]:
 
 
 def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the values of an instance by full name, arrays as tuples."""
+    """Return the parameter values of a configuration object by full name, arrays as tuples."""
     values: dict[str, Any] = {}
     for field in attrs.fields(type(instance)):
         value = getattr(instance, field.name)
@@ -238,7 +238,7 @@ def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
 def check(
     entries: Iterable[Parameter], values: dict[str, Any], *, hint: Callable[[str], str] = lambda _: ""
 ) -> dict[str, Any]:
-    """Return values of declared parameters by full name in their own types, arrays as tuples.
+    """Check values by full name against declared parameters; return them in their own types, arrays as tuples.
 
     Args:
         entries: the declared parameters.
@@ -261,7 +261,7 @@ def check(
 
 
 def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **extra_fields: Any) -> Any:
-    """Return an instance of a configuration class from checked values by full name. Missing names take their default.
+    """Build an object of a configuration class from checked values by full name. Missing names take their default.
 
     `prefix` precedes the names of its fields. `extra_fields` are fields of the class that are no parameters.
     """

@@ -34,7 +34,7 @@ def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> 
 
 
 def text_of(path: str | Path) -> str:
-    """Return the text of a parameter file; call it once, because the file may be a pipe.
+    """Read the text of a parameter file; call it once, because the file may be a pipe.
 
     Raises:
         ParameterError: for a file that can't be read, or is too large.
@@ -49,7 +49,7 @@ def text_of(path: str | Path) -> str:
 
 
 def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: bool = False) -> dict[str, Any]:
-    """Return the parameters that a text sets for a node; arguments as those of `read`."""
+    """Return the parameters that a parameter file's text sets for a node; arguments as those of `read`."""
     sections = _sections(text, source)
     full = f"/{node.strip('/') or 'cloth_sim'}"
     matching = [content for name, content in sections.items() if ros_sections.matches(name, full)]
@@ -61,7 +61,7 @@ def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: b
 
 
 def other_nodes(text: str, *, node: str, source: str) -> str:
-    """Return the nodes for which a text sets parameters, and a remedy, if it sets none for `node`; else "".
+    """Return the nodes for which a text sets parameters, and a remedy, if it sets none for `node`; else empty.
 
     Args:
         text: text of a parameter file.
@@ -106,7 +106,7 @@ def _refuse_other_namespaces(sections: list[str], node: str, source: str) -> Non
 
 
 def dump(values: dict[str, Any], *, node: str = "/**") -> str:
-    """Return a parameter file that sets the given parameters; floats keep every bit."""
+    """Return the text of a parameter file that sets the given parameters; floats keep every bit."""
     tree: dict[str, Any] = {}
     for name, value in values.items():
         branch = tree
@@ -128,13 +128,13 @@ _SENTINEL_LINES = "    the.last: []\n"
 
 @functools.lru_cache(maxsize=16)
 def _head(node: str) -> str:
-    """Return the text before a node's parameters."""
+    """Return the text of a parameter file before a node's parameters."""
     return ros_yaml.dump({node: {ros_sections.KEY: _SENTINEL}}).removesuffix(_SENTINEL_LINES)
 
 
 @functools.lru_cache(maxsize=256)
 def _lines(entry: bytes) -> str:
-    """Return the lines of one section, given as pickled bytes, which distinguish 1 from 1.0 and 0.0 from -0.0.
+    """Return the lines of one group of parameters, which is given as pickled bytes: these distinguish 1 from 1.0.
 
     The cache pays off because scenes of a study share nearly all sections, and formatting one takes long.
     """

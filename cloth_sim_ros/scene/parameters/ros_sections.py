@@ -37,7 +37,7 @@ def matches(section: str, node: str) -> bool:
 
 
 def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each section by full name, in the order in which the sections begin.
+    """Parse a ROS parameter file; return the parameters of each section by full name, in the order of sections.
 
     An empty list, which sets nothing in ROS, becomes [] if nothing else sets the name.
 
@@ -49,7 +49,7 @@ def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
 
 
 class _Section:
-    """Values of a section, with the types that each name had before."""
+    """Values of one section of a parameter file, by name and type, as ROS's parser keeps them."""
 
     def __init__(self) -> None:
         self._entries: list[tuple[str, dict[str, Any]]] = []
@@ -57,14 +57,14 @@ class _Section:
         self._groups: set[str] = set()
 
     def clashes(self, name: str, *, group: bool) -> bool:
-        """Return True if a name is both a value and a group of names; remember groups."""
+        """Return True if a name is used both as a value and as a group of names; remember the names of groups."""
         if group:
             self._groups.add(name)
             return name in self._first
         return name in self._groups
 
     def entry(self, name: str, *, nested: bool) -> dict[str, Any]:
-        """Return the values of a name by type. ROS finds an earlier entry only if the name is not nested."""
+        """Return the dict that holds a name's values by type; a nested name gets a new one each time, as in ROS."""
         if nested or name not in self._first:
             self._entries.append((name, {}))
             self._first.setdefault(name, self._entries[-1][1])
@@ -72,10 +72,13 @@ class _Section:
         return self._first[name]
 
     def values(self) -> dict[str, Any]:
+        """Return the value of each name; ROS keeps the first type in its search order."""
         return {name: next((kinds[kind] for kind in _KINDS if kind in kinds), []) for name, kinds in self._entries}
 
 
 class _SectionReader:
+    """Reads the sections of a parameter file from the events of a YAML parser, and refuses what ROS refuses."""
+
     def __init__(self, text: str, source: str) -> None:
         import yaml
 
@@ -86,6 +89,7 @@ class _SectionReader:
         self._sections: dict[str, _Section] = {}
 
     def sections(self) -> dict[str, dict[str, Any]]:
+        """Return the parameters of each section by full name."""
         for _ in self._until("StreamEnd"):
             if self._is("DocumentStart"):
                 self._next()
@@ -104,7 +108,7 @@ class _SectionReader:
         return self._event
 
     def _until(self, end: str) -> Iterator[Any]:
-        """Yield the events up to the end of the open collection.
+        """Yield the YAML parser's events up to the end of the open collection.
 
         The caller consumes the events of nested collections.
         """
@@ -125,7 +129,7 @@ class _SectionReader:
         return key
 
     def _names(self, above: tuple[str, ...]) -> None:
-        """Read a mapping of names of namespaces and nodes."""
+        """Read a mapping from names of namespaces and nodes to sections."""
         ended = False
         for _ in self._until("MappingEnd"):
             key = self._key()

@@ -41,7 +41,7 @@ _RESOLVED = {
 
 
 def load(text: str) -> Any:
-    """Return a text's content in plain Python values.
+    """Parse a YAML text to plain Python values, with scalars as ROS reads them.
 
     Raises:
         yaml.YAMLError: if it is no YAML, repeats a key, has too many values, or is nested too deeply.
@@ -57,7 +57,7 @@ def load(text: str) -> Any:
 
 
 def parser() -> Any:
-    """Return PyYAML's loader for a stream of events: the C one if it is installed.
+    """Return PyYAML's loader class for streams of events: the C one if it is installed.
 
     The events need neither memory nor recursion; their consumers may.
     """
@@ -67,7 +67,7 @@ def parser() -> Any:
 
 
 def check_size(text: str, *, max_nodes: int = MAX_NODES) -> None:
-    """Refuse a text whose reading would take long or much memory.
+    """Refuse a YAML text that is nested too deeply, or has too many values with its aliases written out.
 
     An alias of a few bytes stands for content that may hold aliases in turn.
 
@@ -112,7 +112,7 @@ def check_size(text: str, *, max_nodes: int = MAX_NODES) -> None:
 
 
 def plain(text: str) -> bool | int | float | str:
-    """Return the value of an unquoted scalar in ROS; `null` and `~` are text."""
+    """Convert an unquoted scalar to the value that ROS reads; `null` and `~` are text."""
     if _BOOL.fullmatch(text):
         return text.lower() in _TRUE
     if _INT.fullmatch(text):
@@ -134,7 +134,7 @@ def plain(text: str) -> bool | int | float | str:
 
 
 def _integer(text: str) -> int:
-    """Return an integer as strtoll reads it.
+    """Convert a text to an integer as strtoll does.
 
     Very many digits give an integer of 65 bits, because Python refuses them.
     """
@@ -157,7 +157,7 @@ def _loader() -> Any:
     import yaml
 
     class Loader(parser()):  # type: ignore[misc]
-        """A SafeLoader with other plain scalars. It refuses a repeated key, because the last one would win unseen."""
+        """SafeLoader that reads unquoted scalars as ROS does, and refuses a repeated key."""
 
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
             seen: set[str] = set()

@@ -197,7 +197,7 @@ def ineffective_parameters(scene: Scene, set_names: Iterable[str]) -> list[str]:
 
 
 def _ineffective_obstacle_parameters(scene: Scene, chosen: set[str]) -> list[str]:
-    """Return the sentences for parameters of single obstacles."""
+    """Return a sentence for each set parameter of an obstacle without effect, e.g. the size of a plane."""
     sentences = []
     for name, obstacle in scene.described.items():
         if name not in scene.obstacle_names:

@@ -33,8 +33,8 @@ _PACKAGE, _FILE = "package://", "file://"
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class ConvexOrClosed:
-    """Closed meshes that stand for one mesh of a description."""
+class ClosedMeshes:
+    """Closed meshes that replace one mesh of a robot's description: the mesh itself, or convex hulls."""
 
     #: Vertices [m], (m, 3), and triangles, (t, 3), of each.
     parts: tuple[tuple[Array, NDArray[np.int64]], ...]
@@ -64,8 +64,8 @@ def find_file(uri: str, folder: Path) -> Path:
     return folder / uri
 
 
-def load(uri: str, scale: tuple[float, ...], folder: Path) -> ConvexOrClosed:
-    """Return the closed meshes of a mesh file.
+def load(uri: str, scale: tuple[float, ...], folder: Path) -> ClosedMeshes:
+    """Read a robot's mesh file as closed meshes: the mesh itself if it is closed and coarse, else convex hulls.
 
     Args:
         uri: see `find_file`.
@@ -96,7 +96,7 @@ def load(uri: str, scale: tuple[float, ...], folder: Path) -> ConvexOrClosed:
     vertices, triangles = np.ascontiguousarray(vertices), np.ascontiguousarray(triangles)
     is_solid = _is_solid(vertices, triangles)
     if is_solid and len(triangles) <= _MAX_TRIANGLES:
-        return ConvexOrClosed(parts=((vertices, triangles),))
+        return ClosedMeshes(parts=((vertices, triangles),))
     parts = _hulls(vertices, triangles)
     if not parts:
         raise ParameterError(
@@ -109,7 +109,7 @@ def load(uri: str, scale: tuple[float, ...], folder: Path) -> ConvexOrClosed:
     inset = float(np.min([_distances_outside(vertices, *part) for part in parts], axis=0).max())
     if inset > _HULL_TOLERANCE:
         note += f", and the mesh protrudes by up to {1e3 * inset:.2g} mm"
-    return ConvexOrClosed(parts=parts, note=note)
+    return ClosedMeshes(parts=parts, note=note)
 
 
 def obj_bytes(vertices: Array, triangles: NDArray[np.int64]) -> bytes:
@@ -130,7 +130,7 @@ def _is_solid(vertices: Array, triangles: NDArray[np.int64]) -> bool:
 
 
 def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Return the triangles of each connected piece."""
+    """Return the triangles of each connected piece of a mesh."""
     from cloth_sim_ros.physics.model.sheets.merging import component_labels
 
     labels = component_labels(np.concatenate([triangles[:, :2], triangles[:, 1:]]), count)[triangles[:, 0]]
@@ -152,7 +152,7 @@ def _hulls(vertices: Array, triangles: NDArray[np.int64]) -> tuple[tuple[Array, 
 
 
 def _hull(points: Array) -> tuple[Array, NDArray[np.int64]] | None:
-    """Return a convex hull of points (m, 3) [m] as a closed mesh; None if they lie in a plane.
+    """Return a convex hull of points (m, 3) [m] with at most 48 vertices; None if they lie in a plane.
 
     With too many vertices it is that of some of them. The next one is always the furthest outside.
     """

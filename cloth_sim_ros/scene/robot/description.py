@@ -38,7 +38,7 @@ class Mimic:
 
 @attrs.frozen(kw_only=True, eq=False)
 class Joint:
-    """A joint between two links."""
+    """Joint of a robot between two links: kind, origin, axis, limits, and the joint that it mimics."""
 
     name: str
     kind: str
@@ -55,13 +55,13 @@ class Joint:
 
     @property
     def is_movable(self) -> bool:
-        """True for a joint with one position."""
+        """True for a joint with one position: revolute, continuous or prismatic."""
         return self.kind in (*ROTATING, *SLIDING)
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class CollisionShape:
-    """A shape of a link's collision geometry."""
+    """One shape of a link's collision geometry: box, sphere, cylinder, capsule or mesh."""
 
     #: One of box, sphere, cylinder, capsule and mesh.
     shape: str
@@ -85,7 +85,7 @@ class RobotDescription:
 
 
 def parse(text: str | bytes) -> RobotDescription:
-    """Return the robot of a description (URDF).
+    """Parse a robot's description (URDF) as links with collision shapes, and joints.
 
     Raises:
         ParameterError: naming the element, the fault and the remedy.
@@ -135,12 +135,12 @@ def _squared(matrix: Array) -> Array:
 
 
 def _repeated(names: Sequence[str]) -> str:
-    """Return the first name that occurs more than once; empty if none does."""
+    """Return the alphabetically first name that occurs more than once; empty if none does."""
     return min((name for name, count in Counter(names).items() if count > 1), default="")
 
 
 def _ordered(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint]) -> RobotDescription:
-    """Return the robot with its joints ordered from the root.
+    """Check that the joints form a tree, and return the robot with its joints ordered from the root.
 
     Raises:
         ParameterError: unless the joints form a tree over all links, and mimicked joints exist.
@@ -276,7 +276,7 @@ def _attribute(element: ElementTree.Element | None, name: str, subject: str) -> 
 def _numbers(
     element: Any, name: str, default: tuple[float, ...], subject: str, *, max_number: float = _MAX_NUMBER
 ) -> tuple[float, ...]:
-    """Return the numbers of an attribute, as many as the default has; the default if it is missing."""
+    """Parse the numbers of an XML attribute, as many as the default has; the default if it is missing."""
     text = None if element is None else element.get(name)
     if text is None:
         return default

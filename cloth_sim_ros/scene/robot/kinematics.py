@@ -18,7 +18,7 @@ from cloth_sim_ros.scene.robot.description import ROTATING, Joint, Mimic, RobotD
 
 
 class Kinematics:
-    """Forward kinematics of a robot.
+    """Forward kinematics of a robot: transforms of bodies, rigidly joined links, from positions of joints.
 
     A body is what a movable joint carries, links of fixed joints included. Body 0 is the root's.
     """
@@ -54,7 +54,7 @@ class Kinematics:
         self._offsets = np.array([offset for _, _, offset in sources])
 
     def positions(self, values: Mapping[str, float]) -> Array:
-        """Return the positions of `joint_names` [rad or m]; a missing one is 0, or the limit that is nearest to 0."""
+        """Convert joint positions by name to an array [rad or m]; a missing one is 0, or the limit nearest to 0."""
         joints = self._named
         return np.array(
             [
@@ -64,7 +64,7 @@ class Kinematics:
         )
 
     def bodies(self, positions: Array, base: Array) -> Array:
-        """Return the transforms of all bodies, shape (bodies, 4, 4).
+        """Return the transforms of all bodies (rigidly joined links) at joint positions, shape (bodies, 4, 4).
 
         Args:
             positions: positions of `joint_names` [rad or m].
@@ -138,7 +138,7 @@ class Kinematics:
 
 
 def poses_of(transforms: Array) -> Array:
-    """Return positions and unit quaternions x, y, z, w of transforms (n, 4, 4), shape (n, 7).
+    """Convert transforms (n, 4, 4) to positions and unit quaternions x, y, z, w, shape (n, 7).
 
     The quaternion is the row of largest diagonal of 4 q q^T, divided by its length.
     """
@@ -158,7 +158,7 @@ def poses_of(transforms: Array) -> Array:
 
 
 def transform_of(position: Sequence[float], orientation: Sequence[float]) -> Array:
-    """Return the transform of a position [m] and a unit quaternion x, y, z, w, shape (4, 4)."""
+    """Convert a position [m] and a unit quaternion x, y, z, w to a transform, shape (4, 4)."""
     from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
 
     return transform(position, rotation_matrix(normalized(orientation)))

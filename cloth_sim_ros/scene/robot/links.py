@@ -39,7 +39,7 @@ _MAX_SHAPES = 2000
 
 @attrs.frozen(kw_only=True, eq=False)
 class _LinkObstacle:
-    """An obstacle before it has a name: its parameters, and its radius and place."""
+    """Obstacle of a link's shape that has no name yet: parameters, bounding radius, and transform in the link."""
 
     link: str
     values: dict[str, Any]
@@ -52,7 +52,7 @@ class _LinkObstacle:
 
 
 class RobotLinks:
-    """Obstacles of a robot's links, and their poses from joint positions.
+    """Converts joint positions of a robot to the poses of the obstacles of its links.
 
     Args:
         description: the robot.
@@ -81,7 +81,7 @@ class RobotLinks:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints whose positions are inputs; joints that mimic others follow."""
+        """Names of the joints of which `poses` needs positions; joints that mimic others follow."""
         return self.kinematics.joint_names
 
     def poses(self, positions: Mapping[str, float] | Array, base: Array | None = None) -> Array:
@@ -102,7 +102,7 @@ class RobotLinks:
         return poses_of(of_links @ self._origins)
 
     def link_pose(self, link: str, positions: Array, base: Array | None = None) -> Array:
-        """Return the pose of any link of the robot, shape (7,): position [m] and quaternion x, y, z, w."""
+        """Return the pose of a robot's link in the scene's frame, shape (7,): position [m], quaternion x, y, z, w."""
         body, placement = self.kinematics.placements[link]
         bodies = self.kinematics.bodies(positions, self._root(base))
         pose: Array = poses_of((bodies[body] @ placement)[None])[0]
@@ -115,7 +115,7 @@ class RobotLinks:
 def add_links(
     scene: Scene, values: Mapping[str, Any], description: str | bytes, *, folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes], RobotLinks]:
-    """Return a scene's parameters with a robot's links as obstacles.
+    """Add a robot's links as obstacles to a scene's parameters; return these, contents of files, and the links.
 
     The obstacles are at the poses of joints at 0; `RobotLinks.poses` and `with_poses` place them elsewhere.
 
@@ -172,7 +172,7 @@ def with_poses(values: Mapping[str, Any], links: RobotLinks, poses: Array) -> di
 
 
 def scene_with_links(scene: Scene, values: Mapping[str, Any], *, folder: str | Path = ".") -> tuple[Scene, RobotLinks]:
-    """Return a scene with the links in `robot.description_file` as obstacles, and the links.
+    """Return a scene with the links in `robot.description_file` added as obstacles, and these links.
 
     Args:
         scene: the scene without links.
@@ -189,7 +189,7 @@ def scene_with_links(scene: Scene, values: Mapping[str, Any], *, folder: str | P
 
 
 def read_description(name: str, folder: str | Path = ".") -> bytes:
-    """Return the content of the file `robot.description_file`.
+    """Read the file of a robot's description (URDF) that `robot.description_file` names.
 
     Raises:
         ParameterError: if no file is named, or it can't be read.
@@ -209,7 +209,7 @@ def without_links(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _selected_links(scene: Scene, robot: RobotDescription, kinematics: Kinematics) -> tuple[list[str], list[str]]:
-    """Return the links whose shapes are candidates, and sentences for the log."""
+    """Return the links whose collision shapes may become obstacles, and sentences for the log."""
     with_shapes = [link for link, shapes in robot.shapes.items() if shapes]
     pads = [name for name in scene.robot.pads if name]
     named = [name for name in scene.robot.links if name]
@@ -301,7 +301,7 @@ def _touches(ball: tuple[Array, float], zone: tuple[Array, float]) -> bool:
 
 
 def _file_name(name: str, used: Collection[str]) -> str:
-    """Return a name that is not used for the file of an obstacle's mesh."""
+    """Return an unused name for the file of an obstacle's mesh."""
     file_name, count = f"{name}.obj", 0
     while file_name in used:
         file_name, count = f"{name}_{count}.obj", count + 1
@@ -313,7 +313,7 @@ def _friction(scene: Scene, link: str) -> tuple[float, ...]:
 
 
 def _names(links: Sequence[str], used: Collection[str]) -> list[str]:
-    """Return a name for the obstacle of each link: valid in ROS, and not used."""
+    """Return an unused name, valid in ROS, for the obstacle of each link."""
     names, counts, used = list[str](), Counter(links), set(used)
     for link in links:
         plain = re.sub(r"\W", "_", link, flags=re.ASCII)

@@ -58,13 +58,13 @@ class PadStops:
         self._accepted: Array | None = None
 
     def update(self, scene: Scene) -> None:
-        """Take the contact thickness of a changed scene."""
+        """Use the contact thickness of a changed scene as the smallest gap between pads."""
         if scene.contact.thickness != self._min_gap:
             self._min_gap = scene.contact.thickness
             self._features = self._features_of_pads()
 
     def stopped(self, positions: Array) -> Array:
-        """Return joint positions at which no pair of pads is closer than permitted, or closer than before.
+        """Limit commanded joint positions so that no pair of pads comes closer than permitted, or than before.
 
         Args:
             positions: commanded positions of the robot's joints [rad or m].
@@ -86,7 +86,7 @@ class PadStops:
         return result
 
     def _fraction(self, a: int, b: int, start: Array, end: Array) -> float:
-        """Return the fraction of a step of the joints at which two pads stop."""
+        """Return the largest fraction of a step of the joints at which two pads keep their smallest gap."""
 
         def is_open(fraction: float) -> bool:
             return self._gap(a, b, self._links.poses(start + fraction * (end - start))) >= self._min_gap
