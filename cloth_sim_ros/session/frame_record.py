@@ -22,7 +22,7 @@ _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "dig
 
 
 def frame_text(content: dict[str, Any]) -> str:
-    """Encode the members of a frame record, in the order of `content`, like `FrameRecord.to_json`.
+    """Encode the members of a frame record as JSON, in the order of `content`, like `FrameRecord.to_json`.
 
     Faster than `FrameRecord.to_json`: no record is constructed.
 
@@ -57,7 +57,7 @@ class FrameRecord:
     target."""
 
     def to_json(self) -> str:
-        """Encode the record: keys in fixed order, floats in the shortest form with the same bits.
+        """Encode the record as JSON: keys in fixed order, floats in the shortest form with the same bits.
 
         Raises SessionError for NaN, infinities, and objects without a JSON form.
         """

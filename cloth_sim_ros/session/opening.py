@@ -22,7 +22,7 @@ _MAX_PART_DIGITS = 10
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a file for reading. Raises SessionError with the reason if it cannot be opened."""
+    """Open a file on disk for reading. Raises SessionError for a missing file, folder, device or pipe."""
     try:
         mode = path.stat().st_mode
         # Opening a pipe would wait for its writer, and a device may never end.

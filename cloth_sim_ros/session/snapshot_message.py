@@ -41,7 +41,7 @@ _MAX_DIGITS = 19
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagSnapshot:
-    """Content of a snapshot message."""
+    """Snapshot of a cloth in a bag, with its node's run and the number of the next frame record."""
 
     session: str
     """Identifier of the node's run."""
@@ -51,7 +51,7 @@ class BagSnapshot:
 
 
 def snapshot_bytes(snapshot: SessionSnapshot, *, session: str, sequence: int, stamp: int) -> bytes:
-    """Encode a snapshot as CDR bytes.
+    """Encode a snapshot as a std_msgs/UInt8MultiArray, in CDR bytes.
 
     Args:
         snapshot: parameters and state before a frame.
