@@ -36,7 +36,7 @@ def writable(state: State, name: str) -> NDArray:
 
 
 def constant_paths(t: float, poses: Array) -> Array:
-    """Return the paths of bodies at rest at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
+    """Return paths of bodies that rest at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
     rows = np.zeros((len(poses), PATH_NUMBERS))
     rows[:, 0], rows[:, 1:4], rows[:, 13:17] = t, poses[:, :3], poses[:, 3:]
     return rows
@@ -58,7 +58,7 @@ def clamp_motion(pose: Sequence[float], target: Sequence[float], reach: float, m
 
 
 def travel(pose: Sequence[float], target: Sequence[float], reach: float) -> float:
-    """Return the largest distance [m] that a point within `reach` [m] of the origin moves from a pose to a target."""
+    """Return an upper bound [m] of the path of points within `reach` [m] of the origin from a pose to a target."""
     displacement = [target[i] - pose[i] for i in range(3)]
     # The rotation costs a call of the engine; a body without extent needs none.
     return _length(displacement) + (reach * _length(rotation_vector(pose[3:], target[3:])) if reach else 0.0)
@@ -70,7 +70,7 @@ def _length(vector: Sequence[float]) -> float:
 
 
 class KinematicBodies:
-    """Poses, twists and targets of several bodies. Everything that changes is in ``state.memory``.
+    """Poses, twists and targets of several bodies that commands move, all kept in ``state.memory``.
 
     Args:
         kind: prefix of the arrays' names, e.g. ``gripper``.
@@ -132,7 +132,7 @@ class KinematicBodies:
         return moving
 
     def paths(self, t: float, duration: float, end_pose: EndPose | None = None) -> tuple[Array, list[float]]:
-        """Move each body over a frame.
+        """Move each body over a frame; return the paths, (count, PATH_NUMBERS), and the change of each path [m].
 
         Args:
             t: time at which the frame starts [s].
