@@ -15,19 +15,19 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class StudyError(ValueError):
-    """A study description is invalid, or a folder does not hold the study."""
+    """Error of an invalid study description, or of a folder that does not hold the study."""
 
 
 class StoppedError(RuntimeError):
-    """A study stopped before its end; finished runs are kept."""
+    """Error of a study that stopped before its end; finished runs are kept."""
 
 
 class FolderError(StoppedError):
-    """A study's folder can't be written, for a reason independent of the runs."""
+    """Error of a study's folder that can't be written, for a reason independent of the runs."""
 
 
 def folder_error(folder: Path, error: OSError) -> FolderError:
-    """Return an exception with cause and remedy of a failed write."""
+    """Return the `FolderError` of a failed write, with cause and remedy."""
     if error.errno in _DISK_FULL:
         return FolderError(
             f"no space left in {folder}: {error.strerror}. Finished runs are kept, incomplete files are removed. "
