@@ -20,7 +20,7 @@ from cloth_sim_ros.simulation.snapshot import Snapshot
 
 
 class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
-    """Cloth that grippers move: a `ClothVectorEnv` with one cloth.
+    """Gymnasium environment of one cloth that grippers move: a `ClothVectorEnv` with one cloth.
 
     Args:
         options: options of `ClothVectorEnv` except `num_envs`, `autoreset_mode` and `copy`. Functions of the user get
@@ -41,7 +41,7 @@ class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
 
     @property
     def snapshot(self) -> Snapshot:
-        """Snapshot of the cloth, for rollouts or for a `Simulation` of its scene."""
+        """Snapshot of the cloth's present state, for rollouts or for a `Simulation` of its scene."""
         return self._cloths.snapshots[0]
 
     def reset(
