@@ -259,7 +259,7 @@ def search_alignment(
 
 
 def _register(x: Array, y: Array, offset: float, model: AlignmentModel) -> tuple[float, Alignment]:
-    """Return the mean distance [m] after a robust rigid registration of y to x, and the camera pose that it gives."""
+    """Return the mean distance [m] after a robust rigid registration of points x to y, and its camera pose."""
     pivot, weights = np.array(model.pivot), np.ones(len(x))
     turn, shift = np.eye(3), np.zeros(3)
     for _ in range(4):

@@ -146,7 +146,7 @@ def _read(
     scale: float,
     accepts_any_frame: bool,
 ) -> Recording:
-    """Return a recording as its files hold it."""
+    """Return the recording of a bag or a table, in the frames of its files."""
     count = len(scene.initial_positions())
     sources = {name: poses.get(name) for name in scene.gripper_names}
     if any(tables.is_table(path) for path in paths):

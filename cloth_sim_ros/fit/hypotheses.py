@@ -163,7 +163,7 @@ def plausible_particles(
 
 
 def _implausibility(offsets: Array, combination: Sequence[int]) -> float:
-    """Return a score that is small if the grippers' distances from their particles are small and alike."""
+    """Return a score, small if the particles' offsets from their grippers are small and alike."""
     vectors = np.array([offsets[g, particle] for g, particle in enumerate(combination)])
     shift = vectors.mean(axis=0)
     # Grippers' distances change by the components of the deviations along their line; a rotation changes the others.

@@ -37,7 +37,7 @@ _MAX_STARTS = 200
 
 @attrs.frozen(kw_only=True, eq=False)
 class GripperPath:
-    """Recorded positions of a gripper over the time since the first cloud."""
+    """Recorded positions of a gripper over the time since a start."""
 
     #: Times since the first cloud [s], ascending, shape (n,).
     times: NDArray[np.float64]

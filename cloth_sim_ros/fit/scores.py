@@ -122,7 +122,7 @@ def _turn_between(before: Array, after: Array) -> Array:
 
 
 def driven_floor(problem: JointProblem, point: Point, selected: Sequence[int]) -> tuple[Score | None, str]:
-    """Return the camera's error, as a score at the grasped and anchored particles, and its description.
+    """Return the camera's error as a score at the grasped and anchored particles, or None, and its description.
 
     Driven particles are held by a gripper or anchored. If the camera never shows them, their neighbours count.
     """

@@ -60,7 +60,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshMessage:
-    """A shape_msgs/Mesh."""
+    """Triangles and vertices of a shape_msgs/Mesh, as views of the message's bytes."""
 
     triangles: NDArray[np.uint32]
     """Particle indices, shape (triangle_count, 3), read-only."""
@@ -69,7 +69,7 @@ class MeshMessage:
 
 
 def decode(data: bytes | memoryview, type_name: str) -> Any:
-    """Decode a standard message.
+    """Decode the CDR bytes of a standard ROS 2 message into an object with its fields.
 
     Args:
         data: CDR bytes.

@@ -56,7 +56,7 @@ class DamagedRecordError(SessionError):
 
 
 class RawMessage(NamedTuple):
-    """A message in its encoded form."""
+    """Message record of an MCAP file, its data not decoded."""
 
     channel: int
     sequence: int

@@ -55,7 +55,7 @@ def check_header(file: BinaryIO, path: Path) -> int:
 
 
 def check_contents(path: Path, metadata: Mapping[str, str], attachments: Container[str]) -> None:
-    """Check metadata and attachments of the opening. Raises NotASessionError or DamagedSessionError."""
+    """Refuse an opening with missing or damaged metadata, or without scene and state."""
     if not metadata:
         cause = f"an MCAP without the metadata record {METADATA_NAME!r}"
         raise NotASessionError(f"{path} is {cause}: cloth_sim did not record it")

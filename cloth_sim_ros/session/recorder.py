@@ -359,7 +359,7 @@ class Recorder:
                 self._popped_bytes += _memory_bytes(item)
 
     def _end_notes(self, dropped: int) -> dict[str, str]:
-        """Return the number of messages dropped in the current file. `dropped`: number in all files."""
+        """Return the end record's note on messages dropped in the current file. `dropped`: number in all files."""
         return {"dropped": str(dropped - self._dropped_before)}
 
     def _update_status(self, writer: SessionWriter, state: RecorderState, error: str = "") -> None:

@@ -44,7 +44,7 @@ class SessionSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriterOptions:
-    """Options of the file format."""
+    """Options of a session file: compression, chunk size, synchronisation and minimum free space."""
 
     compression: Compression = "lz4"
     chunk_bytes: int = 1 << 20

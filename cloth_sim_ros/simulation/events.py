@@ -129,7 +129,7 @@ _BEFORE_OTHERS = (Target, Move, MoveObstacles, Grasp)
 
 
 def ordered(events: list[Event]) -> list[Event]:
-    """Return events in the order in which a frame applies them, with the newest target of each body only.
+    """Return events in the order in which a frame applies them; only a body's newest `Target` or `Move` is kept.
 
     First the newest target of each gripper, then moves of several obstacles. The newest target of each obstacle is
     next, then grasps, then other events. Events of one kind keep their order of arrival.

@@ -213,7 +213,7 @@ class StudyFolder:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Lock the folder for one client.
+        """Lock the folder, so that only one process runs the study at a time.
 
         Raises:
             StudyError: if another client has the lock.

@@ -125,7 +125,7 @@ def plan_controls(
     joints: ObstacleJoints | None,
     t: float,
 ) -> tuple[Controls, float]:
-    """Move the bodies over the frame from time t [s] on; return its controls and the largest path change [m].
+    """Move the bodies over the frame from time t [s] on; return controls and largest change of displacement [m].
 
     Returns:
         Controls of the frame, and the largest change of displacement from the frame before to this one, along an axis
@@ -233,7 +233,7 @@ def _min_gap_of(plan: Plan, t: float, state: State, points: Array) -> float:
 
 
 def stop_bodies(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:
-    """Hold bodies that can crush the cloth at their present poses until their next targets; return their names.
+    """Hold bodies that can crush the cloth at their poses until their next targets; return names of moving ones.
 
     They are obstacles, pinching grippers, and grippers that prescribe the motion of particles.
 

@@ -237,7 +237,7 @@ class Grippers:
         damping: float,
         speeds: Sequence[float],
     ) -> tuple[GripControls, float]:
-        """Move each gripper over a frame; return the controls of grips and the largest path change [m].
+        """Move each gripper over a frame; return the controls of grips and the largest change of displacement [m].
 
         Args:
             present: grasped particles of the frame before.

@@ -132,7 +132,7 @@ class KinematicBodies:
         return moving
 
     def paths(self, t: float, duration: float, end_pose: EndPose | None = None) -> tuple[Array, list[float]]:
-        """Move each body over a frame; return the paths, (count, PATH_NUMBERS), and the change of each path [m].
+        """Move each body over a frame; return paths, (count, PATH_NUMBERS), and changes of displacement [m].
 
         Args:
             t: time at which the frame starts [s].

@@ -90,7 +90,7 @@ class Obstacles:
         return [self.names[k] for k in self._bodies.hold_position(range(len(self.names)))]
 
     def plan_frame(self, t: float, duration: float, thickness: float) -> tuple[Array, float, NDArray[np.bool_] | None]:
-        """Move the obstacles over a frame; return paths, largest path change [m], and robot links away from the cloth.
+        """Move the obstacles over a frame; return paths, largest change of displacement [m], and links off the cloth.
 
         Args:
             t: time at which the frame starts [s].

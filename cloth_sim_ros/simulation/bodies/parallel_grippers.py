@@ -54,7 +54,7 @@ class ParallelGrippers:
         return np.array(poses)
 
     def placed_pads(self) -> list[int]:
-        """Return the indices of the pads whose gripper is placed."""
+        """Return the indices of the pads whose gripper has a pose, because it has received a target."""
         placed = self._state.memory["gripper.placed"]
         return [2 * k + pad for k, index in enumerate(self._indices) if placed[index] for pad in range(2)]
 
@@ -63,7 +63,7 @@ class ParallelGrippers:
         return np.repeat(paths[self._indices], 2, axis=0)
 
     def drive_flags(self) -> NDArray[np.bool_]:
-        """Return for each pinching gripper if it is placed and if it closes, shape (pinching grippers, 2)."""
+        """Return two flags by pinching gripper: it has a pose, and it closes; shape (pinching grippers, 2)."""
         memory = self._state.memory
         return np.stack([memory[name][self._indices] for name in ("gripper.placed", "gripper.closed")], axis=1)
 
