@@ -227,13 +227,13 @@ class _BagRun:
             verdict.missing.append(f"no message of {self._node}{SNAPSHOT_LEAF}, from which the frames could be run")
         if count := self._content.conflict_count:
             verdict.missing.append(f"{pluralize(count, 'message')} of {self._topic} with another content for one frame")
-        gaps = self._gaps()
+        gaps = self._describe_gaps()
         verdict.missing += itertools.islice(gaps, _MAX_GAPS)
         if n_more := sum(1 for _ in gaps):
             verdict.missing.append(f"{pluralize(n_more, 'further gap')} of the records")
         verdict.damaged = bool(verdict.missing or not self._starts)
 
-    def _gaps(self) -> Iterator[str]:
+    def _describe_gaps(self) -> Iterator[str]:
         """Yield a sentence for each gap between frame records, from the first one that can be run on."""
         frames, starts = self._content.frames, self._starts
         for before, after in itertools.pairwise(sorted(frames)):

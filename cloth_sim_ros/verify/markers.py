@@ -112,7 +112,7 @@ class MarkerCheck:
             return
         reason = _difference(recorded, decode(layout.encode(self._poses, stamp), MARKERS).markers)
         if not reason:
-            layout.learn_gaps(message.data)
+            layout.learn_padding(message.data)
         if reason == _APPEARANCE and self._findings.verdict.environment:
             self._findings.not_compared(message.topic, "colours, by other code")
         elif reason:
@@ -164,7 +164,7 @@ class _MarkerLayout:
             self._pose_offsets.append(start)
 
         #: Padding bytes between fields; a middleware leaves them uninitialised.
-        self._gaps = np.zeros(len(self._data), dtype=np.bool_)
+        self._padding = np.zeros(len(self._data), dtype=np.bool_)
 
     def is_same(self, recorded: bytes, poses: Array, stamp: int) -> bool:
         """Return True if a message equals the markers of `poses` at a ROS time [ns], up to known padding."""
@@ -173,15 +173,15 @@ class _MarkerLayout:
             return True
         if len(recorded) != len(expected):
             return False
-        return not (self._differing_bytes(recorded) & ~self._gaps).any()
+        return not (self._differing_bytes(recorded) & ~self._padding).any()
 
-    def learn_gaps(self, recorded: bytes) -> None:
+    def learn_padding(self, recorded: bytes) -> None:
         """Learn which bytes are padding, from a message whose fields equal those of the last `encode`."""
         if len(recorded) == len(self._data):
             differing = self._differing_bytes(recorded)
             for start in self._pose_offsets:
                 differing[start : start + 56] = False
-            self._gaps |= differing
+            self._padding |= differing
 
     def _differing_bytes(self, recorded: bytes) -> NDArray[np.bool_]:
         return np.frombuffer(recorded, np.uint8) != np.frombuffer(self._data, np.uint8)
