@@ -199,7 +199,7 @@ def alignment_derivatives(
     clouds: NDArray[np.int64],
     components: Sequence[int],
 ) -> list[list[Array]]:
-    """Return the derivatives of `cloud_residuals` by some of the seven unknowns, for each unknown and cloud.
+    """Return derivatives of `cloud_residuals` by components of time offset and camera pose, by component and cloud.
 
     Args:
         recording: the clouds.

@@ -244,7 +244,7 @@ def _rough_positions(rest_shape: Array, local_positions: _LocalPositions) -> Arr
 
 
 def _extrapolate_position(rest_shape: Array, local_positions: _LocalPositions, particle: int) -> tuple[Array, float]:
-    """Return a particle's position in the gripper's frame [m], and a coordinate's standard deviation [m]."""
+    """Return a particle's position in the gripper's frame and its deviation [m], from neighbours if it is hidden."""
     noise = local_positions.noise
     if local_positions.n_seen[particle]:
         return local_positions.mean[particle], noise / math.sqrt(local_positions.n_seen[particle])

@@ -471,7 +471,7 @@ def _line_search(
 
 
 def missing_information(product: Array, square: Array, p: int) -> Array:
-    """Return the information that lifts a product of two sets of slopes to a tenth of their square, (p, p).
+    """Return the information to add to the product of two sets of slopes to reach a tenth of their square, (p, p).
 
     Args:
         product: information by the products and by the prior, shape (unknowns, unknowns).

@@ -63,7 +63,7 @@ class RecordedGripper:
         return attrs.evolve(self, positions=self.positions + turned)
 
     def is_closed(self, time: float) -> bool:
-        """Return True if the gripper is closed at a time [s], by its last grasp, or as it has no grasp before."""
+        """Return True if the gripper is closed at a time [s]: by its last grasp, or because it has none before."""
         grasps = [closed for begin, closed in self.grasps if begin <= time]
         return not grasps or grasps[-1]
 

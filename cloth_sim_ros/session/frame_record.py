@@ -69,7 +69,7 @@ class FrameRecord:
 
     @classmethod
     def from_json(cls, text: str) -> FrameRecord:
-        """Decode the text of `to_json`. Raises SessionError for other text, with the reason."""
+        """Decode a frame record from JSON. Raises SessionError with the reason if the text is no valid record."""
         try:
             content = plain_json.loads(
                 text, parse_constant=_refuse_constant, parse_float=_parse_finite, object_pairs_hook=_unique_keys

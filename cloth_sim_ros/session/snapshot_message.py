@@ -65,7 +65,7 @@ def snapshot_bytes(snapshot: SessionSnapshot, *, session: str, sequence: int, st
 
 
 def read_snapshot(data: bytes) -> BagSnapshot:
-    """Decode the bytes of `snapshot_bytes`. Raises SessionError for others, and for damaged ones."""
+    """Decode a snapshot from the bytes of its message. Raises SessionError for other or damaged bytes."""
     if len(data) < _HEADER.size:
         raise SessionError(f"a snapshot of {len(data)} bytes is cut off")
     header, dimensions, offset, size = _HEADER.unpack_from(data)

@@ -162,7 +162,7 @@ def to_dict(event: Event) -> dict[str, Any]:
 
 
 def from_dict(data: dict[str, Any]) -> Event:
-    """Return the event of a dict that `to_dict` made.
+    """Return the event that a dict of plain values describes, as `to_dict` returns it.
 
     Raises:
         ValueError: for an unknown kind or fields that do not fit it.

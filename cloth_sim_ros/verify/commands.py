@@ -217,7 +217,7 @@ class CommandCheck:
             self._drop(cleared, "cleared, or received before the recording")
 
     def _may_be_impossible(self, name: str, simulation: Simulation) -> bool:
-        """Return True if the node may have refused the target: its body was removed, or its pads are not placed yet."""
+        """Return True if the node may have refused a body's target: it was removed, or its pads have no pose yet."""
         grippers = simulation.grippers
         if name not in self._grippers:
             return simulation.obstacles is None or name not in simulation.obstacles.names

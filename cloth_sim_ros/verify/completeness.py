@@ -189,7 +189,7 @@ class CompletenessCheck:
         self._close_gap(message.topic, topic, increment - 1)
 
     def _close_gap(self, name: str, topic: _TopicState, gap: int | None) -> None:
-        """Report the missing messages of a topic; droppable ones are counted. `gap`: by sequence numbers, or None."""
+        """Report messages missing on a topic, unless they may be dropped ones; `gap`: their number, if known."""
         n_missing, position = topic.n_missing, topic.missing_from or self._findings.position
         topic.n_missing, topic.missing_from = 0, None
         gap_size = n_missing if gap is None else gap

@@ -213,7 +213,7 @@ def compare_topology(message: Message, scene: Scene, findings: Findings) -> None
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:
-    """Compare recorded transforms: of the cloth's centre of mass, each placed gripper and each camera without TF."""
+    """Compare recorded transforms, of the centre of mass, grippers with a pose and cameras, with the re-run."""
     frames = _transforms(node.strip("/"), simulation)
     parent = simulation.scene.frame_id
     if same_bytes(message.data, messages.transforms_bytes(frames, frame_id=parent, stamp=stamp)):

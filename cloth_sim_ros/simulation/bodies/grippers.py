@@ -134,7 +134,7 @@ class Grippers:
         return min(speed_limit or MAX_BODY_SPEED, MAX_BODY_SPEED) if index in self.pad_reaches else speed_limit
 
     def hold_position(self, among: Collection[int] | None = None) -> list[str]:
-        """Hold the present poses of some grippers until their next targets; return the names of those that moved.
+        """Hold the present poses of some grippers until their next targets; return names of those that were moving.
 
         Args:
             among: their indices; by default those that can crush the cloth: pinching grippers, and those that prescribe

@@ -122,7 +122,7 @@ class KinematicBodies:
         target[indices, 3:] = poses[:, 3:] / np.sqrt(x * x + y * y + z * z + w * w)[:, None]
 
     def hold_position(self, indices: Sequence[int]) -> list[int]:
-        """Hold the present poses of some bodies until their next targets; return the indices of those that moved."""
+        """Hold the present poses of some bodies until their next targets; return indices of those that were moving."""
         is_moving = (self.array("pose") != self.array("target")).any(axis=1) | self.array("twist").any(axis=1)
         moving = [k for k in indices if is_moving[k]]
         if moving:

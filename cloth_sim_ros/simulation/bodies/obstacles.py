@@ -141,7 +141,7 @@ class Obstacles:
                 )
 
     def _are_away(self, paths: Array, duration: float, distance: float) -> NDArray[np.bool_]:
-        """Return for each obstacle whether it stays further than a distance [m] from the box about the present cloth.
+        """Return a mask of the obstacles that stay further than a distance [m] from the box about the present cloth.
 
         An obstacle moves no further than its path is long.
         """
@@ -211,7 +211,7 @@ def replace_obstacles(
 
 
 def gaps(solid: Obstacle, pose: Array, x: Array, *, max_distance: float = math.inf) -> Array:
-    """Return the distances [m] of particles at x [m], (3, n), from an obstacle's surface, shape (n,); negative inside.
+    """Return distances [m] of particles x (3, n) from an obstacle, negative inside; lower bounds above `max_distance`.
 
     Beyond `max_distance` [m] from the bounding sphere the distance from that sphere is returned, a lower bound.
     """
