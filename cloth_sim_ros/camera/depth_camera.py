@@ -31,7 +31,7 @@ def intrinsics(camera: CameraParameters) -> tuple[float, float, float, float]:
 
 
 class DepthCamera:
-    """Pinhole depth camera with z forward, x right and y down.
+    """A pinhole camera with z forward, x right and y down.
 
     Args:
         name: its name, a part of the seed.
@@ -124,7 +124,7 @@ _Motion = tuple[Array, Array]
 
 
 def _motion(pose: ArrayLike) -> _Motion:
-    """Return the rotation matrix and the translation [m] of a pose."""
+    """Return rotation matrix and translation [m] of a pose."""
     numbers = np.asarray(pose, dtype=np.float64)
     return rotation_matrix(normalized(numbers[3:])), numbers[:3]
 

@@ -96,7 +96,7 @@ class AlignmentModel:
 
     @property
     def is_common(self) -> bool:
-        """True if all recordings have the same alignment."""
+        """True if all recordings have one alignment."""
         return PER_RECORDING not in (self.time, self.camera)
 
     @property

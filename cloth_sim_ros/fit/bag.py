@@ -299,7 +299,7 @@ def _read_poses(
 def _read_cloud(
     data: bytes, time: int, frame: str | None, count: int, matched: bool
 ) -> tuple[int, NDArray[np.float64]]:
-    """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if hidden."""
+    """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if unseen."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
 
     cloud = decode_cloud(data)

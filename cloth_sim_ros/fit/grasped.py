@@ -211,7 +211,7 @@ def _remedy(grasped: GraspedParticles) -> str:
 
 
 def _mean_local_positions(clouds: Sequence[Array], poses: Sequence[Sequence[float]]) -> _LocalPositions:
-    """Return the particles' mean positions in the gripper's frame, and the noise between successive clouds."""
+    """Return mean positions in the gripper's frame, and the noise between successive clouds."""
     local_clouds = []
     for cloud, pose in zip(clouds, poses, strict=True):
         # World vector d in the gripper's frame: R' d.

@@ -90,7 +90,7 @@ class GraspChoice:
         return bool(differences.mean() < _MIN_T * error)
 
     def selections(self) -> list[GraspedParticles]:
-        """Return the chosen grasped particles of each gripper."""
+        """Return the chosen particles of each gripper."""
         return selections(self.best.particles, is_named=self.is_named)
 
 

@@ -53,7 +53,7 @@ SEARCH_FACTOR = 100.0
 
 
 class FitError(ValueError):
-    """Error of a fit that is impossible; the message gives cause and remedy."""
+    """A fit is impossible; the message gives cause and remedy."""
 
 
 @attrs.frozen(kw_only=True)

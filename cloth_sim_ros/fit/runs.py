@@ -61,7 +61,7 @@ def simulate(recording: FitRecording, parameters: Sequence[FitParameter], run: F
 
 
 def simulate_with_misses(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> tuple[Array, int]:
-    """Return the positions like `simulate`, and the number of frames that missed the tolerance."""
+    """Return the positions as `simulate` does, and the number of frames that missed the tolerance."""
     scene = scene_with(recording.scene, parameters, run.values, tolerance=run.tolerance, step=0.0, work_limit=MAX_WORK)
     simulation = Simulation(scene, recording.state)
     frames, period = recording.frames[: run.n_clouds], scene.period

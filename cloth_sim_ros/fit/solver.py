@@ -141,7 +141,7 @@ def fisher_information(linearization: Linearization, sigma: float) -> Array:
 
 
 def standard_deviations(fisher: Array) -> Array:
-    """Return the Cramér-Rao bound of each logarithm's standard deviation, (p,); infinite if undetermined."""
+    """Return the Cramér-Rao bound of each logarithm's standard deviation, shape (p,); infinite if undetermined."""
     values, vectors = np.linalg.eigh(fisher)
     is_known = values > 1e-12 * max(float(values[-1]), 1e-300)
     variances = np.where(is_known, 1.0 / np.where(is_known, values, 1.0), np.inf)

@@ -86,7 +86,7 @@ def motion_recording(
     settle_time: float = SETTLE_TIME,
     max_offset: float = 0.0,
 ) -> FitRecording:
-    """Return a recording for a fit that is simulated from before the first cloud until after the last one.
+    """Return a recording that is simulated from before the first cloud to after the last one.
 
     The cloth hangs at rest in its grippers at the start. Clouds may be late or early by `max_offset`.
 
@@ -131,7 +131,7 @@ def settle_frames(scene: Scene, settle_time: float) -> int:
 
 
 def start_time(recording: Recording, scene: Scene, max_offset: float) -> float:
-    """Return the time at which a simulation can start [s]: `max_offset` before the first cloud, with still grippers.
+    """Return the time at which the simulation starts [s]: `max_offset` before the first cloud, with still grippers.
 
     If a gripper moves then, the simulation starts at the first pose.
 
@@ -301,7 +301,7 @@ def _initial_state(
 
 
 def _clouds_while_grasped(recording: Recording, track: RecordedGripper) -> NDArray[np.int64]:
-    """Return the indices of the clouds of the first second before a gripper opens, which show its grasp."""
+    """Return the indices of the clouds in the first second, before a gripper opens: they show its grasp."""
     seconds, start = recording.times - recording.times[0], float(recording.times[0])
     opening_times = [time - start for time, closed in track.grasps if time > start and not closed]
     is_whole = [len(cloud) == len(recording.clouds[0]) for cloud in recording.clouds]

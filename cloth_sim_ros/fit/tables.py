@@ -211,7 +211,7 @@ class _Line:
     cells: Mapping[str, str]
 
     def read_number(self, name: str) -> float:
-        """Return the number in a column; NaN for an empty cell, which is a hidden point."""
+        """Return the number of a column; NaN for an empty cell, which is a hidden point."""
         cell = self.cells[name].strip()
         try:
             return float(cell or "nan")

@@ -181,7 +181,7 @@ def _linear_range(problem: FitProblem, linearization: Linearization, sigma: floa
 
 
 def _noise(windows: list[FitWindow]) -> float:
-    """Return the smallest root mean square of a window's residuals [m], at least the simulations' tolerance."""
+    """Return the least root mean square of a window's residuals [m], at least the simulation's tolerance."""
     return max(min(root_mean_square(window.linearization.r) for window in windows), windows[-1].tolerance)
 
 

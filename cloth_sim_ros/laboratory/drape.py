@@ -100,7 +100,7 @@ class DrapeTest:
 
     @property
     def ring_radius(self) -> float:
-        """Radius of the outermost ring of held particles [m], half a row beyond the plate's edge."""
+        """Radius of the outermost ring of particles on the plate [m], half a row beyond the plate's edge."""
         return self.plate_radius + 0.5 * ROW * self.edge_length
 
 

@@ -31,7 +31,7 @@ class Silhouette:
 
 
 def silhouette(positions: Array, triangles: NDArray[np.int64], plate_radius: float) -> Silhouette:
-    """Return the shadow of a draped specimen that lies on a plate about the origin.
+    """Return the shadow of a specimen that lies on a plate about the origin.
 
     Args:
         positions: particles [m], shape (n, 3).

@@ -123,7 +123,7 @@ def _ring(radius: float, edge_length: float, angle: float) -> Array:
 
 
 def _ring_points(radius: float, plate_radius: float, edge_length: float, seed: int) -> Array:
-    """Return points on concentric rings, those along the plate's edge and the border among them, shape (n, 2)."""
+    """Return points on rings, those along the plate's edge and the border among them, (n, 2)."""
     angles = np.random.default_rng(seed)
     height = edge_length * ROW
     n_inner, n_outer = round(plate_radius / height), round((radius - plate_radius) / height)

@@ -41,7 +41,7 @@ class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
 
     @property
     def snapshot(self) -> Snapshot:
-        """Snapshot of the cloth's present state, for rollouts or for a `Simulation` of its scene."""
+        """Snapshot of the cloth, for rollouts or for a `Simulation` of its scene."""
         return self._cloths.snapshots[0]
 
     def reset(

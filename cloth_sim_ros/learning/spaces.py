@@ -26,7 +26,7 @@ TOLERANCE = 1e-3
 
 
 def scene_of(source: Scene | str | Path | Mapping[str, Any] | None, base: Scene | None = None) -> Scene:
-    """Return a scene from any source: a scene, a ROS parameter file, or values by full name.
+    """Return a scene from a scene, a ROS parameter file, or values by full name.
 
     Args:
         source: scene, file or values; None for the default scene with a tolerance of 1 mm.

@@ -79,7 +79,7 @@ def draw_curves(recording: rr.RecordingStream) -> None:
 
 
 def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> MeasuredAccuracy:
-    """Measure the accuracy of a session. `folder` holds the result files and must exist while the result is used.
+    """Measure the accuracy of a session. `folder` receives the result files and must exist while the result is used.
 
     Raises:
         SessionError: if it cannot be measured.

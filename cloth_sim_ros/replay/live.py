@@ -80,7 +80,7 @@ class LiveView:
         return self._stream is not None
 
     def add(self, topic: str, data: bytes) -> None:
-        """Show a serialized message. One that is damaged, or does not fit the cloth, is left out."""
+        """Show a message. One that is damaged, or does not fit the cloth, is left out."""
         try:
             self._add(topic, data)
         except SessionError as error:

@@ -44,7 +44,7 @@ _COLOUR_CODES = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class ViewerError(Exception):
-    """Error of a viewer that cannot be used on this machine; the message names the requirement."""
+    """The viewer cannot be used on this machine; the message names the requirement."""
 
 
 class Viewer(NamedTuple):
@@ -115,7 +115,7 @@ def _start(*options: str) -> Viewer:
 
 
 def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[int, int]) -> None:
-    """Render a Rerun recording without a screen or a GPU as a PNG of `size` (width, height) pixels.
+    """Render a recording without a screen or a GPU and save a PNG of `size` (width, height) pixels.
 
     `at`: simulated time [s]; by default the end. The viewer reads the recording from the disk.
 

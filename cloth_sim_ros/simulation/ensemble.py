@@ -157,11 +157,11 @@ class Ensemble:
         )
 
     def snapshot(self) -> EnsembleSnapshot:
-        """Return the full contents of all members, in microseconds a member; see `restore`."""
+        """Return the full contents of all members, in microseconds a member, for `restore`."""
         return EnsembleSnapshot(members=tuple(member.snapshot() for member in self._members), varied=self._is_varied)
 
     def restore(self, snapshot: EnsembleSnapshot) -> None:
-        """Return to a snapshot of an ensemble of the same scene and distribution.
+        """Restore a snapshot of an ensemble of the same scene and distribution.
 
         Raises:
             ValueError: for a snapshot of another scene, or another number of members.

@@ -257,7 +257,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def restore(self, snapshot: Snapshot) -> None:
-        """Return to a snapshot of a simulation of the same scene; live parameters become the snapshot's.
+        """Restore a snapshot of a simulation of the same scene; live parameters become the snapshot's.
 
         Raises:
             ValueError: for a snapshot of another scene; the message names a parameter that differs.

@@ -30,7 +30,7 @@ _ALLOWED_FAILURES = 3
 
 @attrs.frozen
 class SchedulerAddress:
-    """Address of a Dask scheduler, and the certificate for an encrypted connection to it."""
+    """Address of a Dask scheduler and the certificate for a connection to it."""
 
     #: Address such as ``tcp://host:8786``.
     address: str

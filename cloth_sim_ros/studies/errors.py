@@ -15,15 +15,15 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class StudyError(ValueError):
-    """Error of an invalid study description, or of a folder that does not hold the study."""
+    """A study description is invalid, or a folder does not hold the study."""
 
 
 class StoppedError(RuntimeError):
-    """Error of a study that stopped before its end; finished runs are kept."""
+    """A study stopped before its end; finished runs are kept."""
 
 
 class FolderError(StoppedError):
-    """Error of a study's folder that can't be written, for a reason independent of the runs."""
+    """A study's folder can't be written, for a reason independent of the runs."""
 
 
 def folder_error(folder: Path, error: OSError) -> FolderError:

@@ -126,7 +126,7 @@ class StudyFolder:
 
     @staticmethod
     def fingerprint(study: Study) -> str:
-        """Return a study's exact text; two studies are the same if their texts are."""
+        """Return the study's exact text; two studies are the same if their texts are."""
         return study.to_json({name: _content_name(data) for name, data in study.files.items()})
 
     def read(self) -> Study:

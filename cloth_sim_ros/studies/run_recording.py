@@ -99,7 +99,7 @@ class RunRecording:
         return self._writer.bytes_written
 
     def add(self, events: Sequence[Event], frame: Frame, ensemble: EnsembleFrame | None = None) -> None:
-        """Add the newest frame: commands, frame record, clouds and wrenches. Frames are written in groups.
+        """Add the latest frame: commands, frame record, clouds and wrenches. Frames are written in groups.
 
         `ensemble`: that of the frame; its members start with the first frame.
         """

@@ -38,7 +38,7 @@ _COMMANDS = (Target, Move, Grasp, SetParameters)
 
 
 class RunError(RuntimeError):
-    """Error of one run by its own fault; the message gives the cause."""
+    """A run failed by its own fault; the message gives the cause."""
 
 
 def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> list[int]:
@@ -292,6 +292,6 @@ class CommandedSimulation:
         return events
 
     def _current_orientation(self, obstacle: str) -> tuple[float, ...]:
-        """Return the quaternion of an obstacle's target, which a command without orientation keeps."""
+        """Return the orientation of an obstacle's current target, which a command without orientation keeps."""
         targets = self.simulation.state.memory["obstacle.target"]
         return tuple(targets[self.simulation.scene.obstacle_names.index(obstacle)][3:].tolist())

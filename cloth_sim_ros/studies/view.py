@@ -139,7 +139,7 @@ def draw_plot(table: pa.Table, name: str, along: str, file: Path) -> None:
 
 
 def _open_run(study_folder: StudyFolder, run: int, save: Path | None) -> int:
-    """Open a run's session in Rerun, in a separate process, and return its exit status."""
+    """Open one run in Rerun, in a separate process, and return its exit status."""
     row = read_row(study_folder.row_file(run)) if run >= 0 else None
     if row is None:
         raise StudyError(f"{study_folder.path} has no finished run {run}")

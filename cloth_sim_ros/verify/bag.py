@@ -59,7 +59,7 @@ _MAX_SEQUENCE, _MAX_STAMP = 1 << 63, 10**9 << 31
 
 
 class _Key(NamedTuple):
-    """Key of a frame record: index of the node's run in the bag, and number of the record in that run."""
+    """Place of a frame record: index of the node's run in the bag, and number of the record in that run."""
 
     session: int
     sequence: int
@@ -485,7 +485,7 @@ class _BagRun:
 
 
 def _snapshot_difference(snapshot: BagSnapshot, simulation: Simulation) -> tuple[str, bool]:
-    """Return the difference of a snapshot from the re-run as text, and True if rounding can cause it."""
+    """Return the difference of a snapshot from the re-run as text, "" if none, and True if rounding can cause it."""
     content = snapshot.snapshot
     try:
         if State.from_bytes(content.state).digest() != simulation.state.digest():

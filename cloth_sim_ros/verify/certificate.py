@@ -29,7 +29,7 @@ WindowVerdict = Literal["kept", "flagged", "not kept", "undecided", "no promise"
 )
 @attrs.frozen(kw_only=True)
 class FrameAccuracy:
-    """Measured accuracy of one frame. Errors are maxima over the particles' positions [m]; nan if unknown."""
+    """Accuracy of one frame. Errors are maxima over the particles' positions [m]; nan if unknown."""
 
     frame: int
     time: float

@@ -66,7 +66,7 @@ class CompletenessCheck:
             self._log_time = open_time
 
     def declare(self, topic: str, kind: str, *, droppable: bool) -> None:
-        """Register a topic of the node: the kind of its messages, and True if they may be dropped."""
+        """Declare a topic of the node: the kind of its messages, and True if they may be dropped."""
         self._topics.setdefault(topic, _TopicState(kind, droppable))
 
     def is_seen(self, topic: str) -> bool:

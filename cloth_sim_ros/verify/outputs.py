@@ -44,7 +44,7 @@ def same_bytes(recorded: bytes, expected: bytes) -> bool:
 
 
 def same_content(recorded: bytes, expected: bytes, type_name: str) -> bool:
-    """Return True if two encoded messages are equal up to padding, which middlewares leave uninitialised.
+    """Return True if two messages are equal up to padding, which middlewares leave uninitialised.
 
     Raises SessionError if the first one cannot be read.
     """
@@ -240,7 +240,7 @@ def compare_transforms(message: Message, node: str, simulation: Simulation, stam
 
 
 def wrenches(scene: Scene, frame: Frame) -> list[tuple[str, Array]]:
-    """Return name and wrench [N, N m] in a frame of each gripper, and each obstacle that is no link of a robot."""
+    """Return names and wrenches [N, N m] of a frame for each gripper, and each obstacle that is no link of a robot."""
     gripper_wrenches = list(zip(scene.gripper_names, frame.wrenches, strict=True))
     of_obstacles = zip(scene.obstacle_names, frame.obstacle_wrenches, strict=True)
     links = scene.link_names

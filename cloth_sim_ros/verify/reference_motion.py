@@ -136,7 +136,7 @@ class ReferenceMotion:
 
     @property
     def offsets(self) -> Array:
-        """Grasped points in their grippers' frames [m], shape (m, 3)."""
+        """Grip points in their grippers' frames [m], shape (m, 3)."""
         return np.ascontiguousarray(np.concatenate([np.empty((0, 3)), *self._offsets]))
 
     def apply_grasps(self, frame: SimulatedFrame) -> None:

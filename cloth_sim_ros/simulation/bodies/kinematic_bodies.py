@@ -36,7 +36,7 @@ def writable(state: State, name: str) -> NDArray:
 
 
 def constant_paths(t: float, poses: Array) -> Array:
-    """Return paths of bodies that rest at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
+    """Return the paths of bodies at rest at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
     rows = np.zeros((len(poses), PATH_NUMBERS))
     rows[:, 0], rows[:, 1:4], rows[:, 13:17] = t, poses[:, :3], poses[:, 3:]
     return rows
