@@ -132,7 +132,7 @@ class Fit:
 
     @property
     def scene(self) -> Scene:
-        """Scene of the recording, with the starting values."""
+        """Scene of the recording, without the fitted values."""
         return self.recording.scene
 
     @property

@@ -85,7 +85,7 @@ class FabricStrip:
         return rest_state
 
     def forces(self, positions: Array, memory: StateMemory | None = None) -> Array:
-        """Return the force of the strip's springs and hinges on each particle [N], held ones included, shape (n, 3).
+        """Return the force of the strip on each particle [N], held ones included, shape (n, 3).
 
         Args:
             positions: positions [m], shape (n, 3).

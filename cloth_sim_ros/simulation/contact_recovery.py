@@ -163,7 +163,7 @@ def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
 
 
 def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene: Scene) -> NDArray[np.int64]:
-    """Return the indices of particles that lose a contact, or a stiffer grip, when another scene takes effect.
+    """Return the indices of particles that lose a contact, or whose grip gets softer, by a change of scene.
 
     Such a particle touches an obstacle that the other scene lacks or reshapes, or is held by a softer gripper there.
     """

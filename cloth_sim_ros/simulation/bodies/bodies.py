@@ -216,7 +216,7 @@ def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, dur
 
 
 def _prescribed_positions(plan: Plan, state: State, t: float) -> Array:
-    """Return the positions of a state with prescribed particles at their points at time t [s], shape (3, n) [m]."""
+    """Return a state's positions, with prescribed particles at their grippers' points at time t [s], (3, n) [m]."""
     positions, unused = state.x.copy(), state.v.copy()
     plan.prescribe(t, positions, unused)
     return positions
