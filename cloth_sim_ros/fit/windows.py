@@ -72,7 +72,7 @@ class WindowedFit:
 
 
 def solve_windows(problem: FitProblem, seconds: NDArray[np.float64]) -> WindowedFit:
-    """Fit growing windows of clouds, each from the last one's result, until all clouds or unpredictable motion.
+    """Fit growing windows of clouds, each from the last result, until all clouds, unpredictable motion or a misfit.
 
     Args:
         problem: the least-squares problem.
