@@ -22,7 +22,7 @@ NO_LABEL, CLOTH_LABEL = 0, 1
 
 
 def intrinsics(camera: CameraParameters) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy [pixels]; centres of pixels have integer coordinates."""
+    """Return a camera's focal lengths and centre fx, fy, cx, cy [pixels]; pixel centres have integer coordinates."""
     if any(camera.intrinsics):
         fx, fy, cx, cy = camera.intrinsics
         return fx, fy, cx, cy
@@ -54,7 +54,7 @@ class DepthCamera:
     def view(
         self, pose: ArrayLike, x: Array, bodies: Iterable[tuple[Obstacle, Array, int]], *, frame: int = 0
     ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-        """Return what the camera sees.
+        """Return depth [m] and label of what each pixel sees from a pose, shape (height, width) each.
 
         Args:
             pose: its position [m] and orientation x, y, z, w.
@@ -88,7 +88,7 @@ class DepthCamera:
         return depths, labels
 
     def points(self, depths: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the points of depths [m] in the optical frame, shape (height, width, 3)."""
+        """Return the points in the optical frame that depths [m] belong to, shape (height, width, 3) [m]."""
         points = np.empty((*depths.shape, 3), np.float32)
         np.multiply(depths, self._rays[0], out=points[..., 0])
         np.multiply(depths, self._rays[1], out=points[..., 1])
@@ -149,7 +149,7 @@ def _placement(motion: _Motion) -> Array:
 
 
 def label_numbers(names: Sequence[str], known: dict[str, int]) -> dict[str, int]:
-    """Return the labels of the cloth and of all bodies so far; new names take the next numbers.
+    """Return the image labels of the cloth and of all bodies by name; new names take the next numbers.
 
     Args:
         names: names of the present bodies.

@@ -33,7 +33,7 @@ _STEPS = (2e-3, *(1e-4,) * 3, *(1e-4,) * 3)
 
 @attrs.frozen(kw_only=True)
 class Alignment:
-    """Time offset and camera pose of one recording."""
+    """Time offset [s] and camera pose (rotation vector, shift) of one recording."""
 
     #: Delay of the clouds against the gripper poses [s].
     offset: float = 0.0
@@ -48,16 +48,16 @@ class Alignment:
         return math.sqrt(sum(component * component for component in self.rotation))
 
     def to_camera(self, x: Array, pivot: Array) -> Array:
-        """Return points as the camera shows them [m], shape (..., 3)."""
+        """Return true points as the misplaced camera shows them [m], shape (..., 3). `pivot`: centre of rotation."""
         return (x - pivot) @ rotation_of(self.rotation).T + pivot + np.array(self.shift)
 
     def from_camera(self, x: Array, pivot: Array) -> Array:
-        """Return the true positions of points that the camera shows [m], shape (..., 3)."""
+        """Return the true positions of points as the camera shows them [m], the inverse of `to_camera`."""
         return (x - pivot - np.array(self.shift)) @ rotation_of(self.rotation) + pivot
 
 
 def rotation_of(vector: Sequence[float]) -> Array:
-    """Return the matrix of a rotation vector [rad], shape (3, 3) (Rodrigues)."""
+    """Return the rotation matrix of a rotation vector [rad], shape (3, 3), by Rodrigues' formula."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -67,7 +67,7 @@ def rotation_of(vector: Sequence[float]) -> Array:
 
 
 def rotation_vector(matrix: Array) -> tuple[float, ...]:
-    """Return the rotation vector of a matrix, for angles below pi [rad]."""
+    """Return the rotation vector [rad] of a rotation matrix, for angles below pi."""
     axis = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2.0
     sine, cosine = float(np.linalg.norm(axis)), (float(np.trace(matrix)) - 1.0) / 2.0
     return tuple((axis * (math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0)).tolist())
@@ -75,7 +75,7 @@ def rotation_vector(matrix: Array) -> tuple[float, ...]:
 
 @attrs.frozen(kw_only=True)
 class AlignmentModel:
-    """Unknowns of the alignment of all recordings, in one vector.
+    """Layout of the vector of unknown time offsets and camera poses of all recordings.
 
     Columns: the time offset, then rotation vector and shift of the camera; with `PER_RECORDING`, one after another.
     """
@@ -91,7 +91,7 @@ class AlignmentModel:
 
     @property
     def max_offset(self) -> float:
-        """Largest time offset [s]."""
+        """Largest time offset that the fit considers [s]; 0 if the offset is fixed."""
         return 0.0 if self.time == FIXED else MAX_OFFSET
 
     @property
@@ -108,7 +108,7 @@ class AlignmentModel:
         return [self.columns(k)[1] for k in range(self.n_recordings)]
 
     def columns(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return which of the seven unknowns a recording has, and their places in the vector.
+        """Return which of the seven unknowns a recording has, and their indices in the vector of all unknowns.
 
         Component 0 is the time offset, 1 to 3 are the rotation, 4 to 6 the shift.
         """
@@ -140,19 +140,19 @@ class AlignmentModel:
         return counts > 1
 
     def alignment(self, unknowns: Array, index: int) -> Alignment:
-        """Return the alignment of a recording."""
+        """Return the time offset and the camera pose of a recording from the vector of all unknowns."""
         components, places = self.columns(index)
         numbers = np.zeros(7)
         numbers[components] = unknowns[places]
         return Alignment(offset=float(numbers[0]), rotation=tuple(numbers[1:4]), shift=tuple(numbers[4:]))
 
     def write_alignment(self, unknowns: Array, index: int, alignment: Alignment) -> None:
-        """Write the alignment of a recording into the vector."""
+        """Write the time offset and the camera pose of a recording into the vector of all unknowns."""
         components, places = self.columns(index)
         unknowns[places] = np.array([alignment.offset, *alignment.rotation, *alignment.shift])[components]
 
     def clamp(self, unknowns: Array, offsets: tuple[float, float]) -> Array:
-        """Return the vector with time offsets between two limits [s]."""
+        """Return the vector of unknowns with its time offsets clamped to two limits [s]."""
         clamped = unknowns.copy()
         for k in range(self.n_recordings):
             components, places = self.columns(k)
@@ -164,7 +164,7 @@ class AlignmentModel:
 def cloud_residuals(
     recording: FitRecording, trajectory: SimulatedMotion, alignment: Alignment, pivot: Array, clouds: NDArray[np.int64]
 ) -> list[Array]:
-    """Return the residuals of some clouds [m]: measured minus simulated.
+    """Return the residuals of some clouds of a recording [m]: measured minus simulated points.
 
     A matched cloud gives a vector per visible particle, shape (n, 3). Bare points give distances, shape (n, 1).
 
@@ -199,7 +199,7 @@ def alignment_derivatives(
     clouds: NDArray[np.int64],
     components: Sequence[int],
 ) -> list[list[Array]]:
-    """Return the derivatives of `cloud_residuals` by some of the seven unknowns, for each unknown and cloud.
+    """Return derivatives of `cloud_residuals` by components of time offset and camera pose, by component and cloud.
 
     Args:
         recording: the clouds.
@@ -229,7 +229,7 @@ def search_alignment(
     model: AlignmentModel,
     offsets: tuple[float, float],
 ) -> tuple[Alignment, float]:
-    """Return the alignment common to some recordings that fits best, and its cost [m].
+    """Return the best alignment that some recordings share, by a grid of time offsets, and its mean distance [m].
 
     Each time offset on a grid has its best camera pose in closed form. The cost is the mean of the points' distances
     after it. Bare points give no pose: their mean distance from the surface decides on the offset alone.
@@ -259,7 +259,7 @@ def search_alignment(
 
 
 def _register(x: Array, y: Array, offset: float, model: AlignmentModel) -> tuple[float, Alignment]:
-    """Return the mean distance after the best camera pose, and this alignment; outliers get small weights."""
+    """Return the mean distance [m] after a robust rigid registration of points x to y, and its camera pose."""
     pivot, weights = np.array(model.pivot), np.ones(len(x))
     turn, shift = np.eye(3), np.zeros(3)
     for _ in range(4):
@@ -281,5 +281,5 @@ def _selected(recording: FitRecording, clouds: NDArray[np.int64]) -> list[NDArra
 
 
 def _frames_from(recording: FitRecording, trajectory: SimulatedMotion) -> NDArray[np.float64]:
-    """Return the clouds' times in frames of a trajectory, which may have omitted settling frames."""
+    """Return the clouds' times as frame numbers of a trajectory, which may have omitted settling frames."""
     return recording.frames - (recording.n_settle_frames - trajectory.n_settle_frames)

@@ -60,7 +60,7 @@ def read_bag(
     columns: Mapping[str, str] | None = None,
     scale: float = 1.0,
 ) -> FitRecording:
-    """Read clouds and gripper poses of a cloth that hangs at rest in its grippers at the first cloud.
+    """Read clouds and gripper poses of a bag as a recording for a fit; the cloth hangs at rest at the first cloud.
 
     Args:
         paths: as for `read_recording`, and so are `topic`, `poses`, `matched`, `index_field`, `columns` and `scale`.
@@ -146,7 +146,7 @@ def _read(
     scale: float,
     accepts_any_frame: bool,
 ) -> Recording:
-    """Return a recording as its files hold it."""
+    """Return the recording of a bag or a table, in the frames of its files."""
     count = len(scene.initial_positions())
     sources = {name: poses.get(name) for name in scene.gripper_names}
     if any(tables.is_table(path) for path in paths):
@@ -212,7 +212,7 @@ def _read_fields(
 
 
 def _read_messages(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
-    """Read the messages of clouds, poses and grasps: for each topic, the type, log times [ns] and bytes."""
+    """Read the clouds, poses and grasps of a bag: by topic, the type, and log time [ns] and bytes of each message."""
     from cloth_sim_ros.session.bag import bag_files, bag_messages
     from cloth_sim_ros.session.errors import DamagedSessionError
 
@@ -246,7 +246,7 @@ def _read_track(
     start: int,
     scale: float,
 ) -> RecordedGripper:
-    """Return the poses and grasps of a gripper; times count from a stamp [ns]."""
+    """Return the recorded poses and grasps of a gripper; its times count from `start` [ns]."""
     if requested is not None and tables.is_table(Path(requested)):
         return tables.read_track(Path(requested), 1e-9 * start, scale=scale)
     from cloth_sim_ros.session.cdr import decode

@@ -19,7 +19,7 @@ MIN_MOTIONS = 5
 
 @attrs.frozen(kw_only=True, eq=False)
 class Covariance:
-    """Covariance of the parameters' logarithms."""
+    """Covariance of the fitted parameters' logarithms, and standard deviations of parameters and alignment."""
 
     #: Shape (p, p).
     matrix: Array
@@ -36,7 +36,7 @@ class Covariance:
 
 
 def jackknife_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
-    """Return the covariance by leaving out each motion in turn, in the linearized fit.
+    """Return the covariance by leaving out each motion in turn (jackknife), in the linearized fit.
 
     Motions are independent; clouds of a motion may be correlated in any way, and the model may be wrong. Unknowns
     of one motion alone are eliminated before.
@@ -66,7 +66,7 @@ def jackknife_covariance(problem: JointProblem, solution: JointSolution, selecte
 
 
 def effective_freedoms(information: Array, total: Array, n_parameters: int) -> Array:
-    """Return the degrees of freedom of the jackknife variances of the first parameters, by Satterthwaite's moments.
+    """Return the degrees of freedom of each parameter's jackknife variance, by Satterthwaite's moments.
 
     They are one less than the motions if all motions inform alike, and fewer if some dominate.
 
@@ -106,7 +106,7 @@ def noise_covariance(problem: JointProblem, solution: JointSolution, selected: S
 
 
 def _unidentified(deviations: Array, information: Array) -> Array:
-    """Return the deviations, infinite where the information of a parameter is negligible."""
+    """Return the standard deviations, set to infinity if a parameter has negligible information."""
     diagonal = np.diag(information)[: len(deviations)]
     return np.where(diagonal > 1e-2, deviations, np.inf)
 
@@ -114,7 +114,7 @@ def _unidentified(deviations: Array, information: Array) -> Array:
 def _eliminated(
     problem: JointProblem, solution: JointSolution
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Return information and gradient of each motion without the unknowns of that motion alone.
+    """Return information and gradient of each motion after elimination of the unknowns that it alone has.
 
     Returns:
         Information (motions, n, n), gradient (motions, n), indices of the n kept unknowns, and of the eliminated ones.

@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit status."""
+    """Run `cloth_fit` and return its exit status."""
     return run_command("cloth_fit", "cloth_sim_ros.fit.main", arguments)

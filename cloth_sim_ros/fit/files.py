@@ -59,7 +59,7 @@ def write_json(fit: Fit, path: Path) -> None:
 
 
 def estimate_entry(estimate: Estimate, within: float) -> dict[str, Any]:
-    """Return the numbers of a parameter; without an interval, bound and interval are None."""
+    """Return a parameter's estimate as a JSON object; without an interval, bound and interval are None."""
     has_interval = estimate.has_interval
     return {
         "name": estimate.parameter.name,
@@ -74,7 +74,7 @@ def estimate_entry(estimate: Estimate, within: float) -> dict[str, Any]:
 
 
 def confounded_entry(direction: ConfoundedDirection) -> dict[str, Any]:
-    """Return the numbers of a confounded direction."""
+    """Return a confounded direction as a JSON object."""
     return {
         "parameters": [p.name for p in direction.parameters],
         "components": list(direction.components),
@@ -146,7 +146,7 @@ def write_plot(fit: Fit, path: Path) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Return a value with numbers that are not finite as None."""
+    """Return a JSON tree in which None replaces the numbers that are not finite."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -32,7 +32,7 @@ MIN_FREEDOM = 4.0
 
 @attrs.frozen(kw_only=True)
 class Estimate:
-    """Estimate of one parameter."""
+    """Estimated value of one parameter with its standard deviation, and the verdict on it."""
 
     parameter: FitParameter
     #: Fitted value, in the parameter's unit.
@@ -57,7 +57,7 @@ class Estimate:
         return self.has_interval and self.freedom is not None and self.freedom < MIN_FREEDOM
 
     def is_within(self, within: float) -> bool:
-        """Return True if the 95 % interval is at most as wide as the normal one of a relative deviation `within`."""
+        """Return True if the 95 % interval is no wider than that of a normal relative deviation `within`."""
         quantile = NORMAL_95
         if self.freedom is not None:
             from scipy.stats import t
@@ -87,7 +87,7 @@ class Estimate:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Fit:
-    """Result of a fit."""
+    """Result of a fit to one recording: estimates, covariance, residuals and doubts."""
 
     #: Name of the recording.
     name: str
@@ -132,7 +132,7 @@ class Fit:
 
     @property
     def scene(self) -> Scene:
-        """Scene of the recording."""
+        """Scene of the recording, without the fitted values."""
         return self.recording.scene
 
     @property
@@ -246,7 +246,7 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
 
 
 def _doubt(problem: FitProblem, run: FitRun, rms: float) -> str:
-    """Return the reason to doubt the bounds of a fit that used all clouds; empty if none."""
+    """Return a reason to distrust the standard deviations of a fit that used all clouds; empty if none."""
     if problem.sigma is not None and rms > MISFIT_RATIO * problem.sigma:
         return (
             f"the residuals are {rms / problem.sigma:.1f} times the deviation that --sigma gives: the model does not "

@@ -30,7 +30,7 @@ _CALIBRATION_SIGMA = 0.002
 
 @attrs.frozen(kw_only=True)
 class GraspedParticles:
-    """Particles that one gripper holds from the first cloud on."""
+    """Particles that one gripper holds from the first cloud on, and their distances from it."""
 
     #: Name of the gripper.
     gripper: str
@@ -49,7 +49,7 @@ class GraspedParticles:
 
 @attrs.frozen(kw_only=True)
 class _LocalPositions:
-    """Particle positions in a gripper's frame, averaged over clouds."""
+    """Particle positions in a gripper's frame, averaged over clouds, and their noise."""
 
     #: Mean positions [m], shape (n, 3); NaN if no cloud shows the particle.
     mean: Array
@@ -84,7 +84,7 @@ def parse_grasped(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
 def find_grasped(
     scene: Scene, gripper: str, clouds: Sequence[Array], poses: Sequence[Sequence[float]], known: Sequence[int] = ()
 ) -> tuple[GraspedParticles, Array]:
-    """Return a closed gripper's grasped particles, and all positions in its frame [m], shape (n, 3).
+    """Return the particles that a closed gripper grasps, by its poses, and all positions in its frame [m], (n, 3).
 
     A hidden particle's position is extrapolated from its visible neighbours by a linear least-squares map of the rest
     shape. The gripper holds the particle nearest to its origin, and those within `gripper.radius` of it in the rest
@@ -136,7 +136,7 @@ def find_grasped(
 def find_grasped_at_rest(
     scene: Scene, gripper: str, position: Sequence[float], known: Sequence[int] = ()
 ) -> GraspedParticles:
-    """Return a closed gripper's grasped particles by the scene's initial shape, for clouds of bare points.
+    """Return the particles that a closed gripper grasps in the scene's initial shape, for clouds of bare points.
 
     Raises:
         FitError: if a second particle is less than twice as far away.
@@ -229,7 +229,7 @@ def _mean_local_positions(clouds: Sequence[Array], poses: Sequence[Sequence[floa
 
 
 def _rough_positions(rest_shape: Array, local_positions: _LocalPositions) -> Array:
-    """Return rough positions of all particles [m]; a hidden one gets that of its nearest visible one."""
+    """Return rough positions in the gripper's frame [m]; a hidden particle gets that of the nearest visible one."""
     from scipy.spatial import cKDTree
 
     seen = np.flatnonzero(local_positions.n_seen)
@@ -244,7 +244,7 @@ def _rough_positions(rest_shape: Array, local_positions: _LocalPositions) -> Arr
 
 
 def _extrapolate_position(rest_shape: Array, local_positions: _LocalPositions, particle: int) -> tuple[Array, float]:
-    """Return a particle's position in the gripper's frame [m], and a coordinate's standard deviation [m]."""
+    """Return a particle's position in the gripper's frame and its deviation [m], from neighbours if it is hidden."""
     noise = local_positions.noise
     if local_positions.n_seen[particle]:
         return local_positions.mean[particle], noise / math.sqrt(local_positions.n_seen[particle])
@@ -276,7 +276,7 @@ def extrapolate_cloud(rest_shape: Array, cloud: Array) -> Array:
 
 
 def particles_within(rest_shape: Array, first: int, radius: float) -> tuple[int, ...]:
-    """Return a particle and those within a radius of it in the rest shape [m], the nearest first."""
+    """Return a particle and those within a radius [m] of it in the rest shape, the nearest first."""
     distances = np.linalg.norm(rest_shape - rest_shape[first], axis=1)
     order = np.argsort(distances, kind="stable")
     return tuple(int(k) for k in order if distances[k] <= radius)

@@ -43,7 +43,7 @@ _MIN_T, _MIN_DIFFERENCE = 2.0, 0.01
 
 @attrs.frozen(kw_only=True, eq=False)
 class Hypothesis:
-    """Combination of grasped particles and its score."""
+    """Combination of particles that the grippers may hold, with its distance from the clouds of each recording."""
 
     #: Particles by gripper; the first one is at the gripper's origin.
     particles: Mapping[str, tuple[int, ...]]
@@ -52,13 +52,13 @@ class Hypothesis:
 
     @property
     def score(self) -> float:
-        """Mean distance of all recordings [m]; infinite if it was not simulated."""
+        """Mean distance from the clouds of all recordings [m]; infinite if it was not simulated."""
         return float(np.mean(list(self.distances.values()))) if self.distances else math.inf
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class GraspChoice:
-    """Chosen grasped particles, and the alternatives."""
+    """Most likely combination of grasped particles, and the alternatives."""
 
     #: Combinations, the best one first.
     hypotheses: tuple[Hypothesis, ...]
@@ -76,7 +76,7 @@ class GraspChoice:
 
     @property
     def is_tie(self) -> bool:
-        """True if the next combination explains the motions nearly as well."""
+        """True if the next combination explains the motions nearly as well as the chosen one."""
         if len(self.hypotheses) < 2 or not self.hypotheses[1].distances:
             return False
         best, following = self.hypotheses[:2]
@@ -95,7 +95,7 @@ class GraspChoice:
 
 
 def selections(particles: Mapping[str, tuple[int, ...]], *, is_named: bool = False) -> list[GraspedParticles]:
-    """Return grasped particles of each gripper."""
+    """Return the particles of each gripper as `GraspedParticles`, without distances."""
     return [
         GraspedParticles(
             gripper=name,
@@ -113,7 +113,7 @@ def selections(particles: Mapping[str, tuple[int, ...]], *, is_named: bool = Fal
 def plausible_particles(
     recordings: Sequence[Recording], scene: Scene, named: Mapping[str, tuple[int, ...]], max_offset: float
 ) -> list[dict[str, tuple[int, ...]]]:
-    """Return the plausible combinations of grasped particles, the likeliest first.
+    """Return the combinations of particles that the grippers may hold by the first clouds, the likeliest first.
 
     A particle is plausible if it is near the gripper in the first clouds, wherever a poor camera pose puts them. The
     distances between the grippers rank the combinations.
@@ -163,7 +163,7 @@ def plausible_particles(
 
 
 def _implausibility(offsets: Array, combination: Sequence[int]) -> float:
-    """Return a sum of squares: common shift of the particles from the grippers, and deviations from it."""
+    """Return a score, small if the particles' offsets from their grippers are small and alike."""
     vectors = np.array([offsets[g, particle] for g, particle in enumerate(combination)])
     shift = vectors.mean(axis=0)
     # Grippers' distances change by the components of the deviations along their line; a rotation changes the others.
@@ -184,7 +184,7 @@ def score_hypotheses(
     pool: TrajectoryPool,
     on_progress: Callable[[int], None] = lambda _runs: None,
 ) -> list[Hypothesis]:
-    """Return combinations with their scores, the best first.
+    """Simulate combinations of grasped particles; return them with their distances from the clouds, the best first.
 
     Args:
         recordings: clouds and gripper poses.
@@ -231,7 +231,7 @@ def score_hypotheses(
 
 
 def pivot_of(recordings: Sequence[Recording]) -> tuple[float, ...]:
-    """Return the median of the points of the first clouds [m]: the centre of the camera's rotation."""
+    """Return the centre of the camera's rotation [m]: the median of the points of all first clouds."""
     points = [cloud[np.isfinite(cloud).all(axis=1)] for recording in recordings for cloud in recording.clouds[:1]]
     seen = np.concatenate(points)
     return tuple(np.median(seen, axis=0).tolist()) if len(seen) else (0.0, 0.0, 0.0)

@@ -20,7 +20,7 @@ MIN_COMPONENT = 0.3
 
 @attrs.frozen(kw_only=True)
 class ConfoundedDirection:
-    """Direction of joint parameter changes to which the clouds are insensitive."""
+    """Joint change of parameters to which the clouds are insensitive, with its standard deviation."""
 
     parameters: tuple[FitParameter, ...]
     #: Change of each parameter's logarithm, relative to the largest.
@@ -37,7 +37,7 @@ class ConfoundedDirection:
 def confounded_directions(
     parameters: Sequence[FitParameter], fisher: Array, within: float
 ) -> Iterator[ConfoundedDirection]:
-    """Yield the directions with a standard deviation above a limit, the most uncertain first.
+    """Yield the joint changes of parameters whose standard deviation exceeds `within`, the most uncertain first.
 
     Args:
         parameters: the parameters.

@@ -36,7 +36,7 @@ _MIN_SCATTERED = 5
 
 @attrs.define(kw_only=True, eq=False)
 class Point:
-    """Parameters and alignment, and the residuals there."""
+    """Parameters and alignment of one simulation of the recordings, with its motions and residuals."""
 
     #: Logarithms of the parameters, shape (p,), and unknowns of the alignment, shape (q,).
     theta: Array
@@ -61,7 +61,7 @@ class Derivatives:
     other_slopes: list[list[list[Array]]] = attrs.field(factory=list)
 
     def first_clouds(self, counts: Sequence[int]) -> Derivatives:
-        """Return the derivatives of the first clouds of each recording."""
+        """Return the derivatives of only the first `counts` clouds of each recording."""
         slopes, curvatures, other_slopes = (
             [[by_cloud[:n] for by_cloud in motion] for motion, n in zip(parts, counts, strict=bool(parts))]
             for parts in (self.slopes, self.curvatures, self.other_slopes)
@@ -71,7 +71,7 @@ class Derivatives:
 
 @attrs.define(kw_only=True, eq=False)
 class NormalEquations:
-    """Information and gradient of each recording, about all unknowns: parameters, then alignment."""
+    """Gauss-Newton normal equations of each recording, about all unknowns: parameters, then alignment."""
 
     #: Information matrix of each recording, shape (recordings, unknowns, unknowns).
     information: Array
@@ -83,7 +83,7 @@ class NormalEquations:
 
 @attrs.define(kw_only=True, eq=False)
 class JointProblem:
-    """Recordings, their used clouds, and the unknowns."""
+    """Least-squares problem of several recordings: used clouds, parameters, alignment and prior."""
 
     recordings: Sequence[FitRecording]
     #: Indices of the used clouds of each recording.
@@ -116,7 +116,7 @@ class JointProblem:
         return np.log([parameter.start for parameter in self.parameters])
 
     def clamp(self, theta: Array) -> Array:
-        """Return logarithms within the parameters' limits."""
+        """Return the parameters' logarithms clamped to their limits."""
         lower, upper = np.log([p.minimum for p in self.parameters]), np.log([p.maximum for p in self.parameters])
         return np.clip(theta, lower, upper)
 
@@ -128,7 +128,7 @@ class JointProblem:
         rest_states: Sequence[State | None] | None = None,
         are_at_rest: Sequence[bool] | None = None,
     ) -> list[SimulatedMotion | str]:
-        """Return the motions of pairs of a recording's index and logarithms of the parameters.
+        """Simulate recordings in parallel; return the motion of each pair (recording's index, parameters' logarithms).
 
         Args:
             jobs: the pairs.
@@ -155,12 +155,12 @@ class JointProblem:
         return results
 
     def residuals(self, index: int, trajectory: SimulatedMotion, eta: Array) -> list[Array]:
-        """Return the residuals of a recording's used clouds [m]."""
+        """Return the residuals of the used clouds of one recording [m], by its simulated motion and alignment."""
         alignment = self.alignment.alignment(eta, index)
         return cloud_residuals(self.recordings[index], trajectory, alignment, self.pivot, self.used[index])
 
     def evaluate(self, theta: Array, eta: Array, selected: Sequence[int], tolerance: float) -> Point | str:
-        """Return the residuals of the selected recordings, or the text of an error."""
+        """Simulate the selected recordings at a point; return it with its residuals, or the text of an error."""
         cold = [k for k in selected if k not in self.rest_states]
         results = self.simulate([(k, theta) for k in selected], tolerance)
         trajectories = []
@@ -174,7 +174,7 @@ class JointProblem:
         return Point(theta=theta, eta=eta, trajectories=trajectories, residuals=residuals)
 
     def settle_again(self, point: Point, selected: Sequence[int]) -> None:
-        """Start further simulations from the rest states of a point."""
+        """Replace the states from which later simulations settle by the rest states of a point."""
         for k, trajectory in zip(selected, point.trajectories, strict=True):
             if trajectory.rest_state is not None:
                 self.rest_states[k] = trajectory.rest_state
@@ -182,7 +182,7 @@ class JointProblem:
     def differentiate(
         self, point: Point, selected: Sequence[int], steps: Array, tolerance: float, *, central: bool
     ) -> Derivatives:
-        """Return differences by the parameters.
+        """Return difference quotients of the residuals by the parameters' logarithms, by simulations.
 
         Raises:
             FitError: if a simulation at a neighbouring point fails.
@@ -231,7 +231,7 @@ class JointProblem:
         return Derivatives(slopes=slopes, curvatures=curvatures, steps=steps)
 
     def clouds(self, point: Point, selected: Sequence[int]) -> list[tuple[Array, Array]]:
-        """Return residuals and rows of the smooth modes of each cloud."""
+        """Return residuals and smooth modes, restricted to its visible points, of each used cloud."""
         pairs = []
         for k, residuals in zip(selected, point.residuals, strict=True):
             for cloud, r in zip(self.used[k], residuals, strict=True):
@@ -240,18 +240,18 @@ class JointProblem:
         return pairs
 
     def mode_rows(self, index: int, cloud: int) -> Array:
-        """Return the rows of the smooth modes of a cloud's points, shape (n, modes)."""
+        """Return the smooth modes at a cloud's visible points, shape (n, modes); no modes for bare points."""
         recording = self.recordings[index]
         if not recording.matched:
             return np.zeros((int(visible(recording.clouds[cloud]).sum()), 0))
         return np.asarray(self._modes[visible(recording.clouds[cloud])])
 
     def white_noise(self, point: Point, loss: str) -> NoiseModel:
-        """Return a model of white noise for the residuals of a point."""
+        """Return a noise model without smooth errors, of the residuals of a point."""
         return initial_noise([r for part in point.residuals for r in part], loss, 0)
 
     def smooth_noise(self, point: Point, selected: Sequence[int], loss: str) -> NoiseModel:
-        """Return a model with smooth errors and cloud weights for the residuals of a point."""
+        """Return a noise model with smooth errors and weights of clouds, estimated from the residuals of a point."""
         n_modes = self._modes.shape[1] if self.recordings[0].matched else 0
         noise = initial_noise([r for part in point.residuals for r in part], loss, n_modes)
         noise = attrs.evolve(noise, has_cloud_weights=True)
@@ -260,14 +260,14 @@ class JointProblem:
     def update_noise(
         self, noise: NoiseModel, point: Point, selected: Sequence[int], steps: int = _NOISE_STEPS
     ) -> NoiseModel:
-        """Return the noise model after some steps of its estimate."""
+        """Return the noise model after some steps of its estimation (expectation-maximization)."""
         clouds = self.clouds(point, selected)
         for _ in range(steps):
             noise = noise.updated(clouds)
         return noise
 
     def loss(self, point: Point, selected: Sequence[int], noise: NoiseModel) -> float:
-        """Return the loss of all clouds and of the prior."""
+        """Return the robust loss of all used clouds plus that of the prior, without unit."""
         total = sum(noise.weigh(r, modes).loss for r, modes in self.clouds(point, selected))
         distance = (point.theta - self.start) / PRIOR_SIGMA
         aligned = point.eta / self.alignment.prior_sigmas()
@@ -276,7 +276,7 @@ class JointProblem:
     def normal_equations(
         self, point: Point, derivatives: Derivatives, selected: Sequence[int], noise: NoiseModel
     ) -> NormalEquations:
-        """Return information and gradient of each selected recording, without the prior.
+        """Return the normal equations of each selected recording, without the prior.
 
         Two sets of slopes have independent short waves. Their products contain no square of these, which would make
         the information too large.
@@ -323,7 +323,7 @@ class JointProblem:
 
 @attrs.define(kw_only=True, eq=False)
 class JointSolution:
-    """Result of a search."""
+    """Minimum that a search has found: point, derivatives, noise model and normal equations."""
 
     point: Point
     derivatives: Derivatives
@@ -347,7 +347,7 @@ def solve_joint(
     chord: bool = False,
     converged_fraction: float = _CONVERGED_FRACTION,
 ) -> JointSolution:
-    """Return the minimum of the loss near a point, by Gauss-Newton steps with a line search.
+    """Minimize the loss from a point on, by Gauss-Newton steps with a line search; return the solution.
 
     Args:
         problem: recordings and unknowns.
@@ -444,7 +444,7 @@ def _line_search(
     step: Array,
     fixed: tuple[Derivatives, Array] | None,
 ) -> Point | None:
-    """Return the first point along a step that improves on the start; None if there is none.
+    """Return the first point along a step whose cost is lower than at its start; None if there is none.
 
     It has a lower loss. With fixed derivatives and their information, the next step must be smaller instead. Short
     waves of a limp cloth change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
@@ -471,7 +471,7 @@ def _line_search(
 
 
 def missing_information(product: Array, square: Array, p: int) -> Array:
-    """Return what products of two sets of slopes lack to a tenth of their square, shape (p, p).
+    """Return the information to add to the product of two sets of slopes to reach a tenth of their square, (p, p).
 
     Args:
         product: information by the products and by the prior, shape (unknowns, unknowns).
@@ -487,7 +487,7 @@ def missing_information(product: Array, square: Array, p: int) -> Array:
 
 
 def roughness(derivatives: Derivatives) -> Array:
-    """Return the share of short waves in the differences of each parameter, from 0 to 1, shape (p,).
+    """Return the fraction of short waves in each parameter's difference quotients, from 0 to 1, shape (p,).
 
     Folds that come and go change the residuals by amounts that do not grow with the difference step. If these are alike
     at three points, the square sum of the second difference is three times that of the central one.
@@ -503,7 +503,7 @@ def roughness(derivatives: Derivatives) -> Array:
 def linear_clouds(
     problem: JointProblem, solution: JointSolution, selected: Sequence[int], sigma: float, reach: Array
 ) -> list[int]:
-    """Return, for each selected recording, the number of used clouds before the first unpredictable one.
+    """Return for each selected recording the number of used clouds before the first whose motion is unpredictable.
 
     A cloud is unpredictable if its residuals are nonlinear within the uncertainty of a parameter, beyond the noise.
     Later clouds of that recording are so too.

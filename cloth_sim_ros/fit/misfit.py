@@ -35,7 +35,7 @@ def root_mean_square(r: Array) -> float:
 
 
 def is_misfit(r: Array, n_earlier: int, noise: float) -> bool:
-    """Return true if a longer window's residuals exceed the noise, in all clouds or in the added clouds.
+    """Return true if the residuals of a longer window, all or the added ones, exceed the noise.
 
     Args:
         r: residuals of the longer window [m], shape (n,).
@@ -48,7 +48,7 @@ def is_misfit(r: Array, n_earlier: int, noise: float) -> bool:
 def is_remainder_misfit(
     linearization: Linearization, offsets: NDArray[np.int64], first_cloud: int, noise: float
 ) -> bool:
-    """Return true if parameter uncertainty does not explain the residuals of the unused clouds.
+    """Return true if the uncertainty of the parameters does not explain the residuals of the unused clouds.
 
     A difference step is one standard deviation of a parameter. The limit is two of them, and 1.5 times the noise.
 

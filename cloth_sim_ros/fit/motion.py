@@ -37,7 +37,7 @@ _MAX_STARTS = 200
 
 @attrs.frozen(kw_only=True, eq=False)
 class GripperPath:
-    """Recorded positions of a gripper."""
+    """Recorded positions of a gripper over the time since a start."""
 
     #: Times since the first cloud [s], ascending, shape (n,).
     times: NDArray[np.float64]
@@ -50,7 +50,7 @@ class GripperPath:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a coordinate [m], by third differences of the poses near the first cloud."""
+        """Standard deviation of the noise of a coordinate [m], by third differences near the first cloud."""
         early = self.positions[np.abs(self.times) <= 2.0 * SPAN]
         third = np.diff(early, n=3, axis=0)
         # The third difference of independent numbers with variance 1 has the variance 1 + 9 + 9 + 1.
@@ -59,7 +59,7 @@ class GripperPath:
 
 @attrs.frozen(kw_only=True)
 class _Velocity:
-    """Velocity of the cloth at the time of a cloud."""
+    """Velocity of the cloth at a cloud, with the largest one that noise explains [m/s]."""
 
     #: Root mean square over the particles, and its standard deviation from noise [m/s].
     speed: float
@@ -155,7 +155,7 @@ def _is_moving(path: GripperPath, start: float) -> bool:
 def _test_velocity(
     clouds: Sequence[Array], seconds: NDArray[np.float64], first: int, rest_shape: Array, tested_powers: Sequence[int]
 ) -> _Velocity | None:
-    """Test if noise explains some powers of time in the motion after a cloud; None if there are too few clouds.
+    """Return the cloth's velocity after a cloud, and True if noise explains it; None if there are too few clouds.
 
     Each coordinate's displacement is a polynomial of time with coefficients that are linear in the rest shape. Particle
     positions at the first cloud are free.
@@ -208,7 +208,7 @@ def _test_velocity(
 
 
 def _linear_modes(rest_shape: Array) -> Array:
-    """Return a constant and the in-plane coordinates of the rest shape, in units of its size, shape (n, 3)."""
+    """Return linear functions over the sheet, a constant and both in-plane coordinates from -1 to 1, shape (n, 3)."""
     centred = rest_shape - rest_shape.mean(axis=0)
     plane_coordinates = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
     size = max(float(np.abs(plane_coordinates).max()), 1e-12)
@@ -216,7 +216,7 @@ def _linear_modes(rest_shape: Array) -> Array:
 
 
 def _centre(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return rows of the visible particles minus each particle's mean, because its position is free."""
+    """Return rows of visible particles minus each particle's mean over time, because its position is free."""
     counts = np.maximum(seen.sum(axis=0), 1)
     shown = np.where(seen[..., None], design, 0.0)
     shown = shown - (shown.sum(axis=0) / counts[:, None])[None]

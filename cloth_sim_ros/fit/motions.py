@@ -57,7 +57,7 @@ SUSPICIOUS_RATIO = 2.5
 
 @attrs.frozen(eq=False, kw_only=True)
 class MotionScore:
-    """Errors of one motion [m]."""
+    """Distances of one motion's points from the fitted cloth and from a rigid cloth [m]."""
 
     name: str
     #: Of the cloth, with parameters fitted on the other motions (or on all, if there are too few).
@@ -70,7 +70,7 @@ class MotionScore:
 
 @attrs.frozen(eq=False, kw_only=True)
 class MotionFit:
-    """Result of a fit to several recordings."""
+    """Result of a fit to several recordings: estimates, alignments, scores and doubts."""
 
     name: str
     scene: Scene
@@ -120,7 +120,7 @@ class MotionFit:
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """Names of recordings of which no cloud is used."""
+        """Names of recordings that have no score, because none of their clouds is used."""
         scored = {entry.name for entry in self.motions}
         return tuple(recording.name for recording in self.recordings if recording.name not in scored)
 
@@ -256,7 +256,7 @@ def _fit_problem(
 def strongest_motions(
     recordings: Sequence[FitRecording] | Sequence[Recording], candidates: Sequence[int], count: int
 ) -> list[int]:
-    """Return recordings for a first search, of the strongest to the weakest motion, at most `count`.
+    """Return at most `count` recordings for a first search: half with the largest motion, half spread over the rest.
 
     Half of them are those with the largest motion of the points, the other half are spread over the rest.
     """
@@ -272,7 +272,7 @@ def strongest_motions(
 
 
 def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Array, Array]:
-    """Return logarithms of the parameters and the alignment by a search over some of the recordings."""
+    """Return parameters' logarithms and alignment, found at a coarse tolerance from some of the recordings."""
     selected = strongest_motions(problem.recordings, inside, N_SEARCHED)
     eta = np.zeros(problem.alignment.n_unknowns)
     choose_rest_shapes(problem, problem.start, selected, SEARCH_TOLERANCE)
@@ -297,7 +297,7 @@ def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Ar
 
 
 def align_all(problem: JointProblem, point: Point, selected: Sequence[int]) -> Array:
-    """Return the unknowns of the alignment by a search over time offsets, each with its best camera pose."""
+    """Return the alignment that fits the motions of a point best, by a search over time offsets."""
     eta, model = np.zeros(problem.alignment.n_unknowns), problem.alignment
     if not len(eta):
         return eta
@@ -317,13 +317,13 @@ def align_all(problem: JointProblem, point: Point, selected: Sequence[int]) -> A
 
 
 def replace_alignment(problem: JointProblem, point: Point, selected: Sequence[int], eta: Array) -> Point:
-    """Return a point with another alignment."""
+    """Return a point with another alignment and the residuals that follow, without new simulations."""
     residuals = [problem.residuals(k, t, eta) for k, t in zip(selected, point.trajectories, strict=True)]
     return attrs.evolve(point, eta=eta, residuals=residuals)
 
 
 def _complete_alignment(problem: JointProblem, point: Point, selected: Sequence[int], inside: Sequence[int]) -> Array:
-    """Return the alignment with a start for recordings that the search did not use."""
+    """Return the alignment with starting values for the recordings that the search did not use."""
     missing = [k for k in inside if k not in selected]
     if not missing or problem.alignment.is_common:
         return point.eta
@@ -345,7 +345,7 @@ def _point(problem: JointProblem, theta: Array, eta: Array, selected: Sequence[i
 
 
 def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -> int:
-    """Omit clouds far from the simulated cloth, and return their number."""
+    """Stop using clouds that are far from the simulated cloth; return their number."""
     medians = [[float(np.median(np.abs(r))) if r.size else 0.0 for r in part] for part in point.residuals]
     typical = float(np.median([m for part in medians for m in part]))
     dropped = 0
@@ -357,7 +357,7 @@ def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -
 
 
 def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
-    """Return the solution of all recordings, and the number of unpredictable clouds."""
+    """Solve for all recordings at the final tolerance; return the solution and the number of unpredictable clouds."""
     steps, unpredictable = np.full(len(point.theta), MAX_STEP), 0
     # Steps that average over short waves do not become shorter again.
     min_steps = np.zeros(len(point.theta))
@@ -512,7 +512,7 @@ def _score_motions(
     inside: Sequence[int],
     outside: Sequence[int],
 ) -> list[MotionScore]:
-    """Return the scores of each motion, by the parameters of a fit without it."""
+    """Return the distances of each motion, by the parameters of a fit without this motion."""
     point, p = solution.point, len(problem.parameters)
     indices = sorted([*inside, *outside])
     unknowns = {}

@@ -17,7 +17,7 @@ from cloth_sim_ros.session.output_files import atomic_write
 
 
 def write_json(fit: MotionFit, path: Path) -> None:
-    """Write all numbers of a fit as JSON; numbers that are not finite are null."""
+    """Write all numbers of a fit to several motions as JSON; numbers that are not finite are null."""
     has_intervals = fit.covariance.has_intervals
     content: dict[str, Any] = {
         "name": fit.name,
@@ -71,7 +71,7 @@ def write_json(fit: MotionFit, path: Path) -> None:
 
 
 def write_plot(fit: MotionFit, path: Path) -> None:
-    """Plot the errors of each motion, of the fitted cloth and of the cloth carried rigidly."""
+    """Plot the distances of each motion's points from the fitted cloth and from the cloth carried rigidly [mm]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -67,7 +67,7 @@ def _grasp_lines(fit: MotionFit) -> Iterator[str]:
 
 
 def describe_choice(choice: GraspChoice) -> Iterator[str]:
-    """Yield the chosen grasped particles, and the scores of the best combinations."""
+    """Yield lines about the chosen grasped particles and the scores of the best combinations."""
 
     def particles(index: int) -> str:
         entries = choice.hypotheses[index].particles

@@ -34,7 +34,7 @@ _MIN_SIGMA, _MIN_MODE = 1e-7, 1e-6
 
 
 def smooth_modes(rest_shape: Array) -> Array:
-    """Return smooth modes of a sheet, orthogonal and of unit mean square, shape (particles, modes).
+    """Return smooth displacement shapes of a sheet, orthogonal and of unit mean square, shape (particles, modes).
 
     They are the products of polynomials in the two main directions of the rest shape, up to degree 3 in all.
     """
@@ -53,7 +53,7 @@ def smooth_modes(rest_shape: Array) -> Array:
 
 @attrs.frozen(kw_only=True, eq=False)
 class CloudWeight:
-    """Inverse covariance of one cloud's residuals, as weights."""
+    """Inverse noise covariance of one cloud's residuals, in factored form."""
 
     #: Rows of the smooth modes of the cloud's points, shape (n, modes).
     modes: Array
@@ -67,7 +67,7 @@ class CloudWeight:
     loss: float
 
     def apply(self, r: Array) -> Array:
-        """Return the inverse covariance times residuals, shape (..., n, d), by the identity of Woodbury."""
+        """Return the inverse noise covariance times residuals, shape (..., n, d), by Woodbury's identity."""
         weighted = r * self.points[:, None]
         smooth = self.modes @ (self.posterior @ (self.modes.T @ weighted))
         return np.asarray(self.scale * (weighted - smooth * self.points[:, None]))
@@ -75,7 +75,7 @@ class CloudWeight:
 
 @attrs.frozen(kw_only=True, eq=False)
 class NoiseModel:
-    """Covariance of the residuals of a cloud."""
+    """Model of a cloud's noise: white errors of points, smooth errors of the whole cloud, and a robust loss."""
 
     #: Standard deviation of the white part of a coordinate [m].
     sigma: float
@@ -87,7 +87,7 @@ class NoiseModel:
     has_cloud_weights: bool = True
 
     def weigh(self, r: Array, modes: Array) -> CloudWeight:
-        """Return the weights of a cloud.
+        """Return the inverse noise covariance and the loss of a cloud, by its residuals.
 
         Args:
             r: residuals [m], shape (n, d).
@@ -122,7 +122,7 @@ class NoiseModel:
         return weight, coefficients, remainder
 
     def updated(self, clouds: Iterable[tuple[Array, Array]]) -> NoiseModel:
-        """Return the model after one step of expectation and maximization.
+        """Return the model after one step of expectation-maximization on the residuals of clouds.
 
         The sums are divided by the weights, as in the algorithm with an expanded parameter (Liu, Rubin, Wu 1998).
         It has the same limit and converges in a few steps.
@@ -148,7 +148,7 @@ class NoiseModel:
 
 
 def initial_noise(residuals: Iterable[Array], loss: str, n_modes: int) -> NoiseModel:
-    """Return a model by the median of the residuals: white, with the variance of each mode a tenth of the white one.
+    """Return a noise model by the residuals' median: white, and smooth modes with a tenth of the white variance.
 
     Args:
         residuals: residuals of each cloud [m], shape (n, d).
@@ -163,12 +163,12 @@ def initial_noise(residuals: Iterable[Array], loss: str, n_modes: int) -> NoiseM
 
 
 def median_deviation(r: Array) -> float:
-    """Return the standard deviation of normal numbers with this median of absolute values."""
+    """Return the robust standard deviation of residuals: that of normal numbers with the same median |r|."""
     return float(np.median(np.abs(r))) / 0.6745 if r.size else 0.0
 
 
 def point_weight(squares: Array, loss: str, d: int) -> NDArray[np.float64]:
-    """Return the weights of points by the squares of their residuals [standard deviations²], shape (n,)."""
+    """Return the robust weights of points by their squared residuals [standard deviations²], shape (n,)."""
     limit = LOSS_SCALES[d] ** 2
     if loss == HUBER:
         return np.sqrt(limit / np.maximum(squares, limit))
@@ -178,7 +178,7 @@ def point_weight(squares: Array, loss: str, d: int) -> NDArray[np.float64]:
 
 
 def point_loss(squares: Array, loss: str, d: int) -> NDArray[np.float64]:
-    """Return the losses of points by the squares of their residuals [standard deviations²], shape (n,)."""
+    """Return the robust losses of points by their squared residuals [standard deviations²], shape (n,)."""
     limit = LOSS_SCALES[d] ** 2
     if loss == HUBER:
         return np.where(squares <= limit, 0.5 * squares, np.sqrt(limit * squares) - 0.5 * limit)

@@ -58,7 +58,7 @@ class FitError(ValueError):
 
 @attrs.frozen(kw_only=True)
 class FitParameter:
-    """Parameter of a fit.
+    """Fitted parameter: its name, unit, starting value and limits.
 
     For an array (static and kinetic friction) the first entry is fitted; the others keep their ratio to it.
     """
@@ -106,7 +106,7 @@ def choose_parameters(
 
 
 def scene_with(scene: Scene, parameters: Sequence[FitParameter], values: Sequence[float], **further: Any) -> Scene:
-    """Return a scene with other values of the fit parameters, and of further parameters.
+    """Return a scene with other values of the fitted parameters, and of further parameters by name.
 
     Raises:
         ParameterError: if the values are invalid.
@@ -124,7 +124,7 @@ def scene_with(scene: Scene, parameters: Sequence[FitParameter], values: Sequenc
 
 
 def acts_at_rest(scene: Scene, parameter: FitParameter) -> bool:
-    """Return true if the rest shape of the scene's cloth may depend on a parameter."""
+    """Return true if a parameter may change the shape of the cloth at rest."""
     return parameter.name not in _OF_MOTION or any(scene.wind.velocity)
 
 
@@ -162,7 +162,7 @@ def _fit_parameter(scene: Scene, name: str, start: float | None) -> FitParameter
 
 
 def _check_effect(scene: Scene, name: str, value: float) -> None:
-    """Refuse a parameter that other parameters disable.
+    """Refuse a parameter that has no effect in the scene, because other parameters disable it.
 
     Raises:
         FitError: if the parameter has no effect in the scene.

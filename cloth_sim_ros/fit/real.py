@@ -45,7 +45,7 @@ def fit_real(
     workers: int | None = None,
     on_progress: Callable[[int], None] = lambda _runs: None,
 ) -> MotionFit:
-    """Fit parameters to recordings of one real cloth.
+    """Fit parameters to recordings of one real cloth, and choose the grasped particles; return the fit.
 
     Its grippers hold the same particles in all of them, unless they are named for each.
 
@@ -177,7 +177,7 @@ def _prepare_named(
 
 @attrs.frozen(kw_only=True, eq=False)
 class _Chooser:
-    """Choice of the grasped particles by simulations."""
+    """Chooses the grasped particles by simulations of several combinations."""
 
     recordings: Sequence[Recording]
     scene: Scene
@@ -188,7 +188,7 @@ class _Chooser:
     on_progress: Callable[[int], None]
 
     def initial(self, named: Mapping[str, tuple[int, ...]], max_offset: float) -> GraspChoice | None:
-        """Return the choice with the starting values; None for bare points, which show no particle."""
+        """Return the choice by simulations with the starting values; None for bare points, which show no particle."""
         if not self.recordings[0].matched:
             return None
         combinations = plausible_particles(self.recordings, self.scene, named, max_offset)
@@ -206,7 +206,7 @@ class _Chooser:
         return GraspChoice(hypotheses=tuple(scored), is_named=False, grippers=grippers)
 
     def repeated(self, choice: GraspChoice, values: Sequence[float]) -> GraspChoice:
-        """Return the choice among the best combinations with other values of the parameters."""
+        """Return the choice among the best combinations by simulations with other values of the parameters."""
         n_combinations, n_recordings = ROUNDS[1]
         best = [hypothesis.particles for hypothesis in choice.hypotheses[:n_combinations]]
         scored = self._score(best, values, n_recordings)

@@ -36,7 +36,7 @@ def _to_clouds(clouds: Iterable[ArrayLike]) -> tuple[NDArray[np.float64], ...]:
 
 @attrs.frozen(eq=False, kw_only=True)
 class RecordedGripper:
-    """Recorded poses and grasps of a gripper."""
+    """Recorded poses and grasps of one gripper over time."""
 
     #: Times of the poses [s], ascending, shape (n,).
     times: NDArray[np.float64] = attrs.field(converter=_to_array)
@@ -54,7 +54,7 @@ class RecordedGripper:
             raise FitError(f"times, positions and quaternions have shapes {shapes}; they must be (n,), (n, 3), (n, 4)")
 
     def offset_by(self, offset: ArrayLike) -> RecordedGripper:
-        """Return the track of a point that is fixed to the gripper.
+        """Return the track of a point that is fixed in the frame of the recorded poses.
 
         Args:
             offset: the point in the frame of the recorded poses [m], shape (3,).
@@ -63,12 +63,12 @@ class RecordedGripper:
         return attrs.evolve(self, positions=self.positions + turned)
 
     def is_closed(self, time: float) -> bool:
-        """Return True if it holds particles at a time [s]: closed by its last grasp, or without any grasp."""
+        """Return True if the gripper is closed at a time [s]: by its last grasp, or because it has none before."""
         grasps = [closed for begin, closed in self.grasps if begin <= time]
         return not grasps or grasps[-1]
 
     def pose_at(self, time: float) -> tuple[list[float], list[float]]:
-        """Return position [m] and quaternion at a time [s], constant before the first pose and after the last one.
+        """Return position [m] and quaternion at a time [s], interpolated; constant before and after the poses.
 
         They are cubic polynomials between poses, with continuous velocities, and straight in gaps. Straight lines
         between all poses would shake the cloth at every pose.
@@ -143,7 +143,7 @@ class Recording:
                 )
 
     def in_gripper_frame(self, cloud_pose: ArrayLike) -> Recording:
-        """Return the recording with clouds in the grippers' frame.
+        """Return the recording with its clouds transformed into the grippers' frame.
 
         Args:
             cloud_pose: position [m] and quaternion x, y, z, w of the clouds' frame in the grippers' frame, shape (7,).
@@ -162,7 +162,7 @@ class Recording:
         return attrs.evolve(self, clouds=[cloud @ rotation.T + numbers[:3] for cloud in self.clouds])
 
     def since(self, time: float) -> Recording:
-        """Return the recording from the first cloud at or after a time, relative to the first one [s].
+        """Return the recording without the clouds before a time [s] after the first one.
 
         Raises:
             FitError: if there is no such cloud.
@@ -174,7 +174,7 @@ class Recording:
         return attrs.evolve(self, times=self.times[first:], clouds=self.clouds[first:])
 
     def part(self, *, until: float | None = None, every: int = 1) -> Recording:
-        """Return the recording up to a time since its first cloud [s], with every n-th cloud.
+        """Return the recording with every n-th cloud, up to a time [s] after the first cloud.
 
         Args:
             until: time of the last cloud [s]; None for all.

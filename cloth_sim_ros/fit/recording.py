@@ -33,7 +33,7 @@ MAX_BYTES = 4 << 30
 
 @attrs.frozen(eq=False, kw_only=True)
 class FitRecording:
-    """Commands and clouds of one cloth.
+    """Recording as a fit compares it: scene, initial state, events of each frame, and clouds.
 
     Clouds are matched (row k is particle k, NaN if it is hidden) or bare points of the surface.
     """
@@ -64,7 +64,7 @@ class FitRecording:
     grasped: tuple[GraspedParticles, ...] = ()
 
     def part(self, *, until: float | None = None, every: int = 1) -> FitRecording:
-        """Return the recording up to a time [s], with every n-th cloud.
+        """Return the recording with every n-th cloud, up to a time [s].
 
         Args:
             until: time of the last cloud [s]; None for all.
@@ -143,7 +143,7 @@ def prepare_state(state: State) -> State:
 
 
 def check_recording(recording: FitRecording, parameter_names: Sequence[str], *, min_clouds: int = MIN_CLOUDS) -> None:
-    """Refuse a recording that can't be compared with the scene's cloth.
+    """Refuse a recording that can't be compared with the scene's cloth, or has too few clouds.
 
     Args:
         recording: clouds and scene.
@@ -187,7 +187,7 @@ def check_recording(recording: FitRecording, parameter_names: Sequence[str], *, 
 
 
 def residual_offsets(recording: FitRecording) -> NDArray[np.int64]:
-    """Return the index of each cloud's first residual, and their total number, shape (clouds + 1,)."""
+    """Return the index of each cloud's first residual in the vector of all, and its length, shape (clouds + 1,)."""
     width = 3 if recording.matched else 1
     counts = [width * int(np.isfinite(cloud).all(axis=1).sum()) for cloud in recording.clouds]
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)

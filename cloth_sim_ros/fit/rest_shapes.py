@@ -25,7 +25,7 @@ _BULGE, _DIFFERENCE = 0.1, 0.01
 
 
 def starting_shapes(recording: FitRecording) -> list[State]:
-    """Return starting states: of the first cloud, and of sheets that bulge to either side."""
+    """Return the states from which a hanging cloth settles: the first cloud, and sheets that bulge to either side."""
     if recording.state is None or not recording.n_settle_frames or not recording.grasped:
         return [] if recording.state is None else [recording.state]
     scene, state = recording.scene, recording.state
@@ -52,7 +52,7 @@ def starting_shapes(recording: FitRecording) -> list[State]:
 
 
 def settle(problem: JointProblem, theta: Array, selected: Sequence[int], tolerance: float) -> dict[int, list[State]]:
-    """Return the different rest shapes of some recordings, that of the first cloud first."""
+    """Let recorded cloths settle; return the different rest shapes by recording, that of the first cloud first."""
     jobs = [(k, state) for k in selected for state in starting_shapes(problem.recordings[k])]
     runs = []
     for k, state in jobs:

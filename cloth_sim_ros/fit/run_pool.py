@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 
 class RunPool:
-    """Process pool of a fit; the results do not depend on the number of processes.
+    """Pool of processes for the simulations of a fit; the results do not depend on their number.
 
     Args:
         workers: number of processes; 1 uses this process, None starts one per core.
@@ -59,7 +59,7 @@ class RunPool:
         *,
         local_function: Callable[[Job], Result] | None = None,
     ) -> list[Result]:
-        """Return the result of each job.
+        """Call a function for each job in parallel processes; return the results in order.
 
         Args:
             function: a function of a module, called in the processes.

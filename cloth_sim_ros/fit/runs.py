@@ -33,7 +33,7 @@ MAX_WORK = 30.0
 
 @attrs.frozen(kw_only=True)
 class FitRun:
-    """Request of one simulation."""
+    """Request of one simulation of a recording: parameter values, number of clouds and tolerance."""
 
     #: Values of the parameters, in their units.
     values: tuple[float, ...]
@@ -103,7 +103,7 @@ def residuals(recording: FitRecording, parameters: Sequence[FitParameter], run: 
 
 
 def mean_offset(r: Array) -> Array:
-    """Return the mean offset of the residuals of matched clouds [m], shape (3,).
+    """Return the mean of the residuals of matched clouds, their common shift [m], shape (3,).
 
     After subtraction of this vector, residuals and derivatives are those of a fit that includes it.
     """
@@ -111,7 +111,7 @@ def mean_offset(r: Array) -> Array:
 
 
 class FitRunPool(RunPool):
-    """Process pool that simulates one recording with many parameter values.
+    """Pool of processes that simulate one recording with many parameter values.
 
     Args:
         recording: commands and clouds.
@@ -126,7 +126,7 @@ class FitRunPool(RunPool):
         super().__init__(workers, initializer=_init_worker, arguments=(recording, self.parameters))
 
     def compute_residuals(self, runs: Sequence[FitRun]) -> list[Array | str]:
-        """Return the residuals of each run [m], shape (n,), or the text of its error.
+        """Simulate runs in parallel; return the residuals of each [m], shape (n,), or the text of its error.
 
         Raises:
             FitError: as `RunPool.map`.
@@ -139,14 +139,14 @@ class FitRunPool(RunPool):
 
 
 def settling_drag_events(scene: Scene, frame: int, n_settle_frames: int) -> list[SetParameters]:
-    """Return the events that set the settling drag in frame 0, and the scene's drag after settling."""
+    """Return the events that raise the drag of air in frame 0 and restore the scene's drag after settling."""
     if not n_settle_frames or frame not in (0, n_settle_frames):
         return []
     return [SetParameters({"air.drag": scene.air.drag if frame else max(SETTLING_DRAG, scene.air.drag)})]
 
 
 def interpolate(x0: Array, v0: Array, x1: Array, v1: Array, s: float | Array, period: float) -> Array:
-    """Return the cubic Hermite interpolation of positions [m] and velocities [m/s] at a fraction s of a frame."""
+    """Return positions between two frames [m], at a fraction s of the frame, by cubic Hermite interpolation."""
     a, b = s * s * (3.0 - 2.0 * s), s * (1.0 - s)
     return np.asarray(x0 + a * (x1 - x0) + period * b * ((1.0 - s) * v0 - s * v1))
 

@@ -23,36 +23,36 @@ _FLOOR_REACH = 1.5
 
 @attrs.frozen(eq=False, kw_only=True)
 class Score:
-    """Distances of points from the simulated cloth."""
+    """Distances of measured points from a cloth [m], and their statistics."""
 
     #: All distances [m], shape (points,).
     distances: NDArray[np.float64]
 
     @property
     def median(self) -> float:
-        """Median [m]."""
+        """Median of the distances [m]; nan without points."""
         return float(np.median(self.distances)) if self.distances.size else float("nan")
 
     @property
     def quantile_95(self) -> float:
-        """95 % quantile [m]."""
+        """95 % quantile of the distances [m]; nan without points."""
         return float(np.quantile(self.distances, 0.95)) if self.distances.size else float("nan")
 
     @property
     def rms(self) -> float:
-        """Root mean square [m]."""
+        """Root mean square of the distances [m]; nan without points."""
         return float(np.sqrt(np.square(self.distances).mean())) if self.distances.size else float("nan")
 
 
 def score(distances: Sequence[Array]) -> Score:
-    """Return the score of the distances of several clouds [m]."""
+    """Pool the distances of several clouds [m] in one score."""
     return Score(
         distances=np.concatenate([np.asarray(d).ravel() for d in distances]) if len(distances) else np.zeros(0)
     )
 
 
 def gripper_poses(recording: FitRecording, frames: NDArray[np.float64], names: Sequence[str]) -> Array:
-    """Return the commanded positions of grippers at times in frames [m], shape (times, grippers, 3)."""
+    """Return commanded gripper positions at times that count frames [m], shape (times, grippers, 3)."""
     positions = np.full((len(recording.events) + 1, len(names), 3), np.nan)
     for n, events in enumerate(recording.events):
         positions[n + 1] = positions[n]
@@ -67,7 +67,7 @@ def gripper_poses(recording: FitRecording, frames: NDArray[np.float64], names: S
 
 
 def rigid_distances(problem: JointProblem, index: int, trajectory: SimulatedMotion, eta: Array) -> list[Array]:
-    """Return the distances of a recording's points from the cloth at rest that its grippers carry rigidly [m].
+    """Return the distances of a recording's points [m] from the cloth at rest, carried rigidly by its grippers.
 
     The cloth moves with the mean of the grippers and turns with the line from the first one to the last one.
     """
@@ -109,7 +109,7 @@ def rigid_distances(problem: JointProblem, index: int, trajectory: SimulatedMoti
 
 
 def _turn_between(before: Array, after: Array) -> Array:
-    """Return the smallest rotation that turns the line through the grippers, shape (3, 3)."""
+    """Return the smallest rotation of the line through the first and the last gripper, shape (3, 3)."""
     a, b = before[-1] - before[0], after[-1] - after[0]
     lengths = float(np.linalg.norm(a)) * float(np.linalg.norm(b))
     if lengths == 0.0:
@@ -122,7 +122,7 @@ def _turn_between(before: Array, after: Array) -> Array:
 
 
 def driven_floor(problem: JointProblem, point: Point, selected: Sequence[int]) -> tuple[Score | None, str]:
-    """Return the camera's error at the driven particles, and its description; None if it shows none of them.
+    """Return the camera's error as a score at the grasped and anchored particles, or None, and its description.
 
     Driven particles are held by a gripper or anchored. If the camera never shows them, their neighbours count.
     """

@@ -27,7 +27,7 @@ _SIDEWAYS = 1.5
 
 @attrs.frozen(kw_only=True)
 class LeftOut:
-    """Numbers of clouds that were not used, by reason."""
+    """Numbers of clouds that a fit does not use, by reason."""
 
     #: Clouds without a point.
     empty: int = 0
@@ -42,13 +42,13 @@ class LeftOut:
 
     @property
     def total(self) -> int:
-        """Number of all of them."""
+        """Number of all clouds that are not used."""
         return self.empty + self.wrong_scale + self.shortened + self.other_object + self.unpredictable
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class Screened:
-    """Clouds that may be the cloth."""
+    """Indices of the clouds that may show the cloth, and numbers of the others."""
 
     #: Indices of the usable clouds of each recording.
     used: tuple[NDArray[np.int64], ...]
@@ -57,12 +57,12 @@ class Screened:
     n_shortened: int
 
     def left_out(self) -> LeftOut:
-        """Return the numbers of clouds that were left out."""
+        """Return the numbers of clouds that were left out, by reason."""
         return LeftOut(empty=self.n_empty, wrong_scale=self.n_wrong_scale, shortened=self.n_shortened)
 
 
 def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
-    """Return the clouds that have points and the size of the cloth.
+    """Return the clouds that may show the cloth: with points, of its size, and not shortened.
 
     A camera that loses a part of a real cloth spreads the points over the rest of it, so that they stand too close.
 
@@ -105,7 +105,7 @@ def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
 def _without_shortened(
     recordings: Sequence[FitRecording], used: Sequence[NDArray[np.int64]]
 ) -> list[NDArray[np.int64]]:
-    """Return the used clouds whose lengths along the sheet are those of most clouds, or of the rest shape."""
+    """Leave out clouds that are shortened along the sheet against most clouds, or against the rest shape."""
     scene = recordings[0].scene
     n_particles = len(scene.initial_positions())
     if not all(
@@ -119,7 +119,7 @@ def _without_shortened(
 
 
 def length_ratios(clouds: Sequence[Array], scene: Scene) -> Array:
-    """Return the lengths of clouds over those of the rest shape, near the two axes along which that is largest.
+    """Return the ratios of length of clouds to the rest shape along the sheet's two axes, shape (clouds, 2).
 
     NaN stands for a direction in which too few neighbours are visible.
 
@@ -148,7 +148,7 @@ def length_ratios(clouds: Sequence[Array], scene: Scene) -> Array:
 
 
 def _usual(ratios: Array) -> float:
-    """Return the centre of the shortest interval that holds half of some ratios; infinite for none."""
+    """Return the centre of the shortest interval that holds half of some ratios, a robust mode; infinite for none."""
     if not ratios.size:
         return float("inf")
     ordered, half = np.sort(ratios), ratios.size // 2
@@ -157,7 +157,7 @@ def _usual(ratios: Array) -> float:
 
 
 def scale(points: Array, rest_shape: Array) -> float | None:
-    """Return the size of a cloud over that of the rest shape; None if it has too few points.
+    """Return the ratio of the sizes of a cloud and of the rest shape; None if the cloud has too few points.
 
     The size is the root mean square distance from the median point.
     """

@@ -39,7 +39,7 @@ MIN_SIGMA = 1e-8
 
 @attrs.define(kw_only=True)
 class Linearization:
-    """Residuals at a point, and their first and second differences."""
+    """Residuals and their first and second differences by the parameters' logarithms, at one point."""
 
     #: Logarithms of the parameters, shape (p,).
     theta: Array
@@ -64,7 +64,7 @@ class Linearization:
 
 @attrs.frozen(kw_only=True)
 class FitProblem:
-    """Least-squares problem that all windows share."""
+    """Least-squares problem of one recording, shared by windows that use its first clouds."""
 
     #: Pool that computes residuals.
     pool: FitRunPool
@@ -81,7 +81,7 @@ class FitProblem:
         return np.log([parameter.start for parameter in self.pool.parameters])
 
     def evaluate(self, thetas: Sequence[Array], n_clouds: int, tolerance: float) -> list[Array | str]:
-        """Return the residuals [m] of several points, or the text of an error.
+        """Simulate several points (parameters' logarithms) in parallel; return residuals [m] or texts of errors.
 
         Args:
             thetas: logarithms of the parameters, shape (p,) each.
@@ -95,14 +95,14 @@ class FitProblem:
         return results
 
     def deviation(self, r: Array) -> float:
-        """Return the standard deviation of a coordinate [m]: prescribed, or estimated from residuals."""
+        """Return the standard deviation of a measured coordinate [m]: prescribed, or estimated from residuals."""
         if self.sigma is not None:
             return self.sigma
         n_free = max(r.size - len(self.pool.parameters), 1)
         return max(math.sqrt(float(r @ r) / n_free), MIN_SIGMA)
 
     def clamp(self, theta: Array) -> Array:
-        """Return a point clipped to the parameters' limits, shape (p,)."""
+        """Return the parameters' logarithms clamped to their limits, shape (p,)."""
         parameters = self.pool.parameters
         lower, upper = np.log([p.minimum for p in parameters]), np.log([p.maximum for p in parameters])
         return np.clip(theta, lower, upper)
@@ -110,7 +110,7 @@ class FitProblem:
     def linearize(
         self, theta: Array, steps: Array, n_clouds: int, tolerance: float, r: Array | None = None
     ) -> Linearization:
-        """Return residuals and central differences at a point.
+        """Return residuals and central differences by the parameters' logarithms, from simulations near a point.
 
         Args:
             theta: logarithms of the parameters, shape (p,).
@@ -136,7 +136,7 @@ class FitProblem:
 
 
 def fisher_information(linearization: Linearization, sigma: float) -> Array:
-    """Return Fisher's information matrix of the logarithms, J J' / sigma^2, shape (p, p)."""
+    """Return Fisher's information matrix of the parameters' logarithms, J J' / sigma^2, shape (p, p)."""
     return np.asarray(linearization.jacobian @ linearization.jacobian.T / sigma**2)
 
 
@@ -153,13 +153,13 @@ def standard_deviations(fisher: Array) -> Array:
 
 
 def difference_steps(fisher: Array) -> Array:
-    """Return difference steps of the logarithms: their standard deviations, within limits, shape (p,)."""
+    """Return steps for differences by the logarithms: the standard deviations within limits, shape (p,)."""
     known = fisher + np.eye(len(fisher)) / PRIOR_SIGMA**2
     return np.clip(np.sqrt(np.diag(np.linalg.inv(known))), MIN_DIFFERENCE, MAX_DIFFERENCE)
 
 
 def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, tolerance: float) -> Linearization:
-    """Return the linearization at the least-squares minimum of a window.
+    """Minimize the residuals of the first `n_clouds` clouds by Levenberg-Marquardt; return the linearization there.
 
     Args:
         problem: the least-squares problem.
@@ -205,7 +205,7 @@ def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, t
 
 
 def _step(matrix: Array, gradient: Array) -> Array:
-    """Return the Newton step for a gradient, limited to `MAX_LOG_STEP`."""
+    """Return the Newton step of the logarithms, scaled so that none changes by more than `MAX_LOG_STEP`."""
     step = np.asarray(-np.linalg.solve(matrix, gradient), dtype=np.float64)
     max_change = float(np.abs(step).max())
     return step if max_change <= MAX_LOG_STEP else step * (MAX_LOG_STEP / max_change)

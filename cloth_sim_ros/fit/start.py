@@ -40,7 +40,7 @@ _STILL = 5e-3
 def rest_recording(
     recording: Recording, scene: Scene, *, settle_time: float = SETTLE_TIME, grasped: Mapping[str, str] | None = None
 ) -> FitRecording:
-    """Return a recording whose cloth hangs at rest in its grippers at the first cloud.
+    """Return a recording for a fit whose cloth settles in its grippers, and hangs at rest at the first cloud.
 
     Args:
         recording: clouds and gripper poses.
@@ -120,7 +120,7 @@ def motion_recording(
 
 
 def settle_frames(scene: Scene, settle_time: float) -> int:
-    """Return the number of settling frames.
+    """Return the number of frames in which the cloth settles before the recording, at least 1.
 
     Raises:
         FitError: if the time is out of its range.
@@ -160,7 +160,7 @@ def start_time(recording: Recording, scene: Scene, max_offset: float) -> float:
 def closed_grippers(
     scene: Scene, tracks: Mapping[str, RecordedGripper], time: float, named: Mapping[str, object]
 ) -> list[str]:
-    """Return the grippers that hold particles at a time [s]: closed by their last grasp, or without any grasp.
+    """Return the grippers that are closed at a time [s]: by their last grasp, or because they have none before.
 
     Raises:
         FitError: if an open gripper is named.
@@ -173,7 +173,7 @@ def closed_grippers(
 
 
 def gripper_path(track: RecordedGripper, start: float) -> GripperPath:
-    """Return the path of a gripper over the time since a start [s]."""
+    """Return the positions of a gripper over the time since a start [s]."""
     return GripperPath(times=track.times - start, positions=track.positions)
 
 
@@ -212,7 +212,7 @@ def hanging_state(
 
 
 def _held_shape(recording: Recording, scene: Scene, selection: GraspedParticles, start: float, x: Array) -> Array:
-    """Return places of the particles of one gripper, with their distances in the rest shape [m], shape (n, 3).
+    """Return the offsets of one gripper's particles from their mean, with the distances of the rest shape [m], (n, 3).
 
     They are turned to the mean of the clouds before the gripper moves. A single noisy cloud would shorten or stretch
     the cloth for the whole motion.
@@ -246,7 +246,7 @@ def _grasping_state(
     selections: Sequence[GraspedParticles],
     poses: Mapping[str, tuple[list[float], list[float]]],
 ) -> State:
-    """Return a state at positions [m], with closed grippers at their poses."""
+    """Return a state with particles at positions x [m] and closed grippers at their poses."""
     check_distinct(selections)
     state = State(x, cloth=scene.starting_state().cloth)
     grippers = Grippers(scene.gripper_names, state)
@@ -262,7 +262,7 @@ def _initial_state(
     tracks: Mapping[str, RecordedGripper],
     named_particles: Mapping[str, Sequence[int]],
 ) -> tuple[State | None, list[GraspedParticles]]:
-    """Return an initial state near the first cloud, and the grasped particles.
+    """Return a state near the first cloud, from which the cloth settles, and the grasped particles.
 
     The cloth settles from this state. Gaps of a matched cloud are filled. Bare points deform the scene's flat sheet.
     Grasped particles lie at their gripper's origin, anchors at the scene's positions. The state is None if
@@ -328,7 +328,7 @@ def _deform_sheet(rest_positions: Array, points: Array, grasped_positions: Mappi
 
 
 def fill_gaps(cloud: Array, triangles: NDArray[np.integer]) -> Array:
-    """Return a cloud with each gap filled by the mean of its neighbours (Jacobi iteration)."""
+    """Return a cloud in which hidden particles lie at the mean of their neighbours (Jacobi iteration)."""
     x, seen = cloud.copy(), visible(cloud)
     x[~seen] = cloud[seen].mean(axis=0)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)

@@ -14,7 +14,7 @@ N_NEAREST = 4
 
 
 def signed_distances(points: Array, x: Array, triangles: NDArray[np.integer]) -> Array:
-    """Return each point's signed distance from the surface along its normal [m], shape (points,).
+    """Return each point's signed distance from a triangulated surface along its normal [m], shape (points,).
 
     The distance is measured from the nearest surface point, along the interpolated normal of the particles. Tangential
     motion of a flat surface therefore gives no residual.
@@ -60,7 +60,7 @@ def _incident_triangles(corners: NDArray[np.int64], n_particles: int) -> NDArray
 
 
 def _normals(x: Array, corners: NDArray[np.int64]) -> Array:
-    """Return unit normals at the particles, shape (particles, 3)."""
+    """Return unit normals of a triangulated surface at its particles, shape (particles, 3)."""
     a, b, c = (x[corners[:, k]] for k in range(3))
     area_normals = np.cross(b - a, c - a)
     sums = np.zeros_like(x)
@@ -71,7 +71,7 @@ def _normals(x: Array, corners: NDArray[np.int64]) -> Array:
 
 
 def _nearest_weights(p: Array, a: Array, b: Array, c: Array) -> Array:
-    """Return barycentric weights of the triangle point nearest to each point, shape (points, 3).
+    """Return barycentric weights of the nearest point of triangle a, b, c to each point p, shape (points, 3).
 
     Method: the regions of Ericson, Real-Time Collision Detection, 5.1.5. A degenerate triangle gives its first corner.
     """

@@ -30,12 +30,12 @@ _COLUMNS, _ARRAYS = ("time", "particle", *_AXES), ("times", "points")
 
 
 def is_table(path: Path) -> bool:
-    """Return True for a file of clouds that is a table, by its ending."""
+    """Return True if a file's ending is that of a table with clouds (CSV or npz)."""
     return path.suffix.lower() in ENDINGS
 
 
 def parse_columns(text: str) -> dict[str, str]:
-    """Return the names of `--columns time=t,x=X,...`.
+    """Return the names of a table's columns that an option such as `time=t,x=X` gives.
 
     Raises:
         FitError: for another form, or an unknown name.
@@ -54,7 +54,7 @@ def parse_columns(text: str) -> dict[str, str]:
 def read_clouds(
     path: Path, count: int, *, columns: Mapping[str, str] | None = None, scale: float = 1.0, matched: bool = True
 ) -> tuple[NDArray[np.float64], list[Array]]:
-    """Return times [s], ascending, and the clouds of a table.
+    """Read the clouds of a table (CSV or npz); return their times [s], ascending, and points [m].
 
     An npz file holds `times`, shape (clouds,), and `points`, shape (clouds, points, 3), NaN for hidden points. A CSV
     has a line for each point: `time`, `particle`, `x`, `y`, `z`. Alternatively it has a line for each cloud, with
@@ -81,7 +81,7 @@ def read_clouds(
 
 
 def read_track(path: Path, start: float, *, scale: float = 1.0) -> RecordedGripper:
-    """Return the poses of a gripper from a table (CSV), whose unit is `scale` metres.
+    """Return the recorded poses of a gripper from a table (CSV), whose unit of length is `scale` metres.
 
     Times count from `start`, a time of the table's clock [s].
 
@@ -194,7 +194,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _cloud(points: Sequence[tuple[int, Sequence[float]]], count: int | None) -> Array:
-    """Return a cloud with a row for each of `count` particles; None for one of bare points."""
+    """Return the points of one cloud as an array: a row for each of `count` particles, or bare points for None."""
     rows = np.array([row for _, row in points], dtype=np.float64)
     if count is None:
         return rows[np.isfinite(rows).all(axis=1)]
@@ -205,7 +205,7 @@ def _cloud(points: Sequence[tuple[int, Sequence[float]]], count: int | None) -> 
 
 @attrs.frozen
 class _Line:
-    """A line of a table: its index in the file, and its cells by column."""
+    """Line of a table: its line number in the file, and its cells by column."""
 
     index: int
     cells: Mapping[str, str]
@@ -219,7 +219,7 @@ class _Line:
             raise FitError(f"line {self.index}: {name} is '{cell}'; it must be a number") from error
 
     def read_particle(self, name: str, count: int) -> int:
-        """Return the particle of a column, from 0 to below `count`."""
+        """Return the particle index in a column, from 0 to below `count`."""
         particle = self.read_number(name)
         if not (0 <= particle < count and particle == int(particle)):
             raise FitError(f"line {self.index} names particle {particle:g}; there are {count}, from index 0")
@@ -227,7 +227,7 @@ class _Line:
 
 
 def _wide_columns(header: Sequence[str], names: Mapping[str, str]) -> dict[int, tuple[str, ...]]:
-    """Return the three columns of each particle of a table with a line for each cloud."""
+    """Return the columns x, y, z of each particle in a table that has a line for each cloud."""
     patterns = [name if "{}" in name else name + "{}" for name in (names[axis] for axis in _AXES)]
     columns: dict[int, tuple[str, ...]] = {}
     before, _, after = patterns[0].partition("{}")

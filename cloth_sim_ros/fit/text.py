@@ -14,7 +14,7 @@ from cloth_sim_ros.session.plurals import pluralize
 
 
 def describe(fit: Fit) -> str:
-    """Return the text report of a fit, which starts with a table."""
+    """Return the text report of a fit to one recording, which starts with a table."""
     return "\n".join([*_head(fit), "", *estimate_table(fit.estimates, fit.within), *_explanations(fit)])
 
 
@@ -40,7 +40,7 @@ def _head(fit: Fit) -> Iterator[str]:
 
 
 def estimate_table(estimates: Sequence[Estimate], within: float) -> Iterator[str]:
-    """Yield the lines of a table of estimates; `within` is the largest bound of an identified parameter."""
+    """Yield the lines of a table of estimates. `within`: largest relative deviation of an identified parameter."""
     rows = [("parameter", "value", "95 % interval", "unit", "bound", "")]
     for estimate in estimates:
         low, high = estimate.interval
@@ -66,7 +66,7 @@ def estimate_table(estimates: Sequence[Estimate], within: float) -> Iterator[str
 
 
 def verdict(estimate: Estimate, within: float) -> str:
-    """Return a short text: identified, or the reason why not."""
+    """Return a short text on an estimate: identified, or the reason why not."""
     if estimate.is_at_limit:
         return "NOT IDENTIFIED: at the limit of the search range"
     if not estimate.is_explained:
@@ -108,7 +108,7 @@ def _explanations(fit: Fit) -> Iterator[str]:
 
 
 def describe_direction(direction: ConfoundedDirection, within: float) -> str:
-    """Format a direction in parameter space that the clouds do not identify, with its bound `within`."""
+    """Return a sentence about parameters that are uncertain together. `within`: limit of identified ones."""
     names = [parameter.name for parameter in direction.parameters]
     if direction.is_single:
         hardly = "these clouds hardly depend on it; " if direction.bound > 0.5 else ""

@@ -30,7 +30,7 @@ WARM_SETTLE_TIME = 1.5
 
 @attrs.frozen(kw_only=True, eq=False)
 class SimulatedMotion:
-    """Positions and velocities at the frames near the clouds."""
+    """Simulated positions and velocities at the frames near the clouds, for any time offset."""
 
     #: Indices of the frames, ascending, shape (frames,); 0 is the start.
     frames: NDArray[np.int64]
@@ -47,7 +47,7 @@ class SimulatedMotion:
     rest_state: State | None = None
 
     def sample(self, frame_times: NDArray[np.float64]) -> Array:
-        """Return positions at times in frames, with fractions [m], shape (times, particles, 3).
+        """Return positions [m] at times that count frames, with fractions, shape (times, particles, 3).
 
         Positions between two frames are interpolated by cubic Hermite polynomials. Times outside the trajectory give
         its first or last position.
@@ -63,7 +63,7 @@ class SimulatedMotion:
 
 @attrs.frozen(kw_only=True, eq=False)
 class TrajectoryRun:
-    """Request of one simulation."""
+    """Request of one simulation of a recording: parameter values, tolerance and time offsets."""
 
     #: Recording without clouds.
     recording: FitRecording
@@ -86,7 +86,7 @@ def trajectory_run(
     rest_state: State | None = None,
     is_at_rest: bool = False,
 ) -> TrajectoryRun:
-    """Return the request of a simulation.
+    """Return the request of a simulation, which settles faster from a rest state of similar parameters.
 
     Args:
         recording: commands and times of the clouds.
@@ -119,7 +119,7 @@ def trajectory_run(
 
 
 def simulate_trajectory(run: TrajectoryRun) -> SimulatedMotion:
-    """Simulate a recording's motion.
+    """Simulate a recording from its settled state on; return the motion near the times of the clouds.
 
     Raises:
         ValueError: if the values are invalid, or an event can't take effect.
@@ -153,7 +153,7 @@ def simulate_trajectory(run: TrajectoryRun) -> SimulatedMotion:
 
 
 def _settle(recording: FitRecording, scene: Scene) -> State:
-    """Return the state of a cloth at rest in thick air, after the settling time.
+    """Return the state of a cloth after its settling time in thick air.
 
     Nothing moves while the cloth settles, therefore frames are long: most of a frame's cost is independent of its
     duration.
@@ -173,7 +173,7 @@ def _settle(recording: FitRecording, scene: Scene) -> State:
 
 
 def _needed_frames(recording: FitRecording, offsets: tuple[float, float]) -> NDArray[np.int64]:
-    """Return the frames around each cloud within the time offsets [frames], from the end of settling on."""
+    """Return the indices of the frames that clouds need within time offsets [frames], from the end of settling on."""
     last = len(recording.events)
     needed = np.zeros(last + 1, dtype=bool)
     # A cloud with a positive offset is late: it shows an earlier frame.
@@ -187,10 +187,10 @@ def _needed_frames(recording: FitRecording, offsets: tuple[float, float]) -> NDA
 
 
 class TrajectoryPool(RunPool):
-    """Process pool that simulates recordings."""
+    """Pool of processes that simulate recordings."""
 
     def simulate(self, runs: Sequence[TrajectoryRun]) -> list[SimulatedMotion | str]:
-        """Return the trajectory of each run, or the text of its error.
+        """Simulate runs in parallel; return the motion of each, or the text of its error.
 
         Raises:
             FitError: as `RunPool.map`.

@@ -48,7 +48,7 @@ MAX_CURVATURE = 0.5
 
 @attrs.frozen(kw_only=True)
 class FitWindow:
-    """Result of one window."""
+    """Result of a fit to the first clouds: number of clouds, linearization, noise and tolerance."""
 
     #: Number of clouds.
     n_clouds: int
@@ -62,7 +62,7 @@ class FitWindow:
 
 @attrs.frozen(kw_only=True)
 class WindowedFit:
-    """Results of all windows; the last one is the fit's result."""
+    """Results of the fits to growing windows of clouds; the last one is the result."""
 
     windows: tuple[FitWindow, ...]
     #: Reason why later clouds were not used; empty if all were used.
@@ -72,7 +72,7 @@ class WindowedFit:
 
 
 def solve_windows(problem: FitProblem, seconds: NDArray[np.float64]) -> WindowedFit:
-    """Fit window after window.
+    """Fit growing windows of clouds, each from the last result, until all clouds, unpredictable motion or a misfit.
 
     Args:
         problem: the least-squares problem.
@@ -113,7 +113,7 @@ def solve_windows(problem: FitProblem, seconds: NDArray[np.float64]) -> Windowed
 
 
 def _window_ends(problem: FitProblem, seconds: NDArray[np.float64]) -> list[int]:
-    """Return the number of clouds of each window."""
+    """Return the number of clouds of each window; each is about twice as long as the one before."""
     last, ends, length = len(seconds), list[int](), FIRST_WINDOW
     while not ends or ends[-1] < last:
         count = int(np.searchsorted(seconds, seconds[0] + length * (1.0 + 1e-9), side="right"))
@@ -128,7 +128,7 @@ def _window_ends(problem: FitProblem, seconds: NDArray[np.float64]) -> list[int]
 
 
 def _search_start(problem: FitProblem, n_clouds: int) -> Array:
-    """Return the best of many points near the start in the first window; the minimization starts there."""
+    """Return the point with the least residuals of many points near the start, simulated in the first window."""
     from scipy.stats import qmc
 
     start = problem.start
@@ -146,7 +146,7 @@ def _search_start(problem: FitProblem, n_clouds: int) -> Array:
 def _ensure_accuracy(
     problem: FitProblem, linearization: Linearization, n_clouds: int, tolerance: float
 ) -> tuple[Linearization, float]:
-    """Return differences with a negligible simulation error, and the required tolerance [m].
+    """Tighten the tolerance until simulation errors are negligible; return the linearization and tolerance [m].
 
     The simulation at the point is repeated at a tenth of the tolerance. The change must be a small fraction of the
     change by each difference step.
@@ -167,7 +167,7 @@ def _ensure_accuracy(
 
 
 def _linear_range(problem: FitProblem, linearization: Linearization, sigma: float) -> int:
-    """Return the number of clouds before the first one whose residuals are nonlinear within a difference step."""
+    """Return the number of clouds before the first one that is nonlinear within a parameter's difference step."""
     offsets = problem.offsets[problem.offsets <= linearization.r.size]
     starts = offsets[:-1]
     n_coordinates = np.diff(offsets)

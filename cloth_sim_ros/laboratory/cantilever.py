@@ -31,7 +31,7 @@ _MIN_OVERHANG, _MAX_OVERHANG = 1e-3, 2.0
 
 @attrs.frozen(kw_only=True)
 class Cantilever:
-    """Cantilever of one strip."""
+    """Result of the cantilever test of one strip."""
 
     #: Length of the overhang [m].
     overhang: float
@@ -40,17 +40,17 @@ class Cantilever:
 
     @property
     def bending_length(self) -> float:
-        """Bending length c [m]."""
+        """Bending length c, half of the overhang [m]."""
         return 0.5 * self.overhang
 
     @property
     def rigidity(self) -> float:
-        """Flexural rigidity G [N m]."""
+        """Flexural rigidity G, weight per area times c^3 [N m]."""
         return self.density * _GRAVITY * self.bending_length**3
 
 
 def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Cantilever:
-    """Find the overhang of a strip.
+    """Find the overhang of a strip whose tip hangs 41.5 degrees below the level; return it as a `Cantilever`.
 
     Args:
         sample: the fabric.
@@ -83,7 +83,7 @@ def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Can
 
 
 def _tip_angle(sample: FabricSample, angle: float, overhang: float, n_cells: int) -> float:
-    """Return the angle below the level at which the tip is seen from the edge [rad]."""
+    """Return the angle below the level at which the tip of an overhanging strip is seen from the edge [rad]."""
     cell = overhang / (n_cells + 0.5)
     # The grid has no Poisson's ratio in bending, therefore the width has no effect.
     width = min(WIDTH, 4.0 * cell)
@@ -94,7 +94,7 @@ def _tip_angle(sample: FabricSample, angle: float, overhang: float, n_cells: int
 
 
 def measure_cantilever(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure strips along warp and weft."""
+    """Measure bending length and flexural rigidity of strips along warp and weft by the cantilever test."""
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.pair("material.bending_modulus"), strict=True

@@ -49,7 +49,7 @@ _EDGE_DISTANCE, _FACE_DISTANCE = 0.5, 0.98
 
 @attrs.frozen(kw_only=True)
 class DrapeTest:
-    """Conditions of a drape test.
+    """Conditions of a Cusick drape test: specimen, plate, mesh and support.
 
     Raises:
         LaboratoryError: for a plate that is not smaller than the specimen.
@@ -95,18 +95,18 @@ class DrapeTest:
 
     @property
     def max_edge_length(self) -> float:
-        """Longest edge [m]: two edges remain between the outermost ring on the plate and the border or the centre."""
+        """Largest edge length that the test permits [m]: two edges fit on the plate's radius and the overhang."""
         return min(self.plate_radius / 2.0, (self.radius - self.plate_radius) / (2.0 + 0.5 * ROW))
 
     @property
     def ring_radius(self) -> float:
-        """Radius of the outermost ring of particles on the plate, half a row beyond its edge [m]."""
+        """Radius of the outermost ring of particles on the plate [m], half a row beyond the plate's edge."""
         return self.plate_radius + 0.5 * ROW * self.edge_length
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Drape:
-    """Drape of one specimen."""
+    """Shape and shadow of one draped specimen."""
 
     test: DrapeTest
     seed: int
@@ -123,13 +123,13 @@ class Drape:
 
     @property
     def coefficient(self) -> float:
-        """Drape coefficient."""
+        """Drape coefficient: area of the overhang's shadow over that of the flat overhang, from 0 to 1."""
         plate = math.pi * self.test.plate_radius**2
         return (self.shadow.area - plate) / (math.pi * self.test.radius**2 - plate)
 
 
 def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape | None = None) -> Drape:
-    """Drape a specimen.
+    """Let a specimen of fabric hang over the plate until it is at rest; return its drape.
 
     Args:
         sample: the fabric.
@@ -172,13 +172,13 @@ def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape 
 
 
 def coarser_drape(sample: FabricSample, fine: Drape) -> Drape:
-    """Drape a specimen of a coarser mesh from the shape of a drape, so that both have the same folds."""
+    """Drape a specimen of a coarser mesh, from the shape of a finer drape, so that both have the same folds."""
     test = attrs.evolve(fine.test, edge_length=COARSENING * fine.test.edge_length)
     return drape(sample, test, seed=fine.seed, start=fine)
 
 
 def mesh_error(fine: Drape, coarse: Drape) -> float:
-    """Return the estimated error of the finer of two drapes by its mesh, for an error of order 2 in the edge length.
+    """Return the error of the finer of two drape coefficients by its mesh, for an error of order 2 in edge length.
 
     It is positive if the coefficient is too large.
     """
@@ -186,7 +186,7 @@ def mesh_error(fine: Drape, coarse: Drape) -> float:
 
 
 def _plate_parameters(test: DrapeTest) -> dict[str, object]:
-    """Return the parameters of two plates of one radius, between which the specimen lies."""
+    """Return the scene parameters of the two plates between which a specimen in contact lies."""
     values: dict[str, object] = {"obstacles": list(_PLATES), "contact.thickness": test.thickness}
     for name, sign in _PLATES.items():
         values |= {
@@ -199,7 +199,7 @@ def _plate_parameters(test: DrapeTest) -> dict[str, object]:
 
 
 def _resampled(start: Drape, mesh: DiscMesh, held: NDArray[np.bool_]) -> Array:
-    """Return the particles of a mesh on the surface of a drape [m], shape (n, 3)."""
+    """Return positions of a mesh's particles on the surface of a drape [m], shape (n, 3)."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     points, moved = start.mesh.points, start.positions

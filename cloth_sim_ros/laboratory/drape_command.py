@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit status."""
+    """Run `cloth_drape` and return its exit status."""
     return run_command("cloth_drape", "cloth_sim_ros.laboratory.drape_main", arguments)

@@ -15,7 +15,7 @@ _SHADE, _LINE = "#9ab3cf", "#27496d"
 
 
 def write_picture(drape: Drape, title: str, path: Path) -> None:
-    """Write the picture of a drape as PNG. It needs matplotlib."""
+    """Write a picture of a drape as PNG: its shadow and the specimen in perspective. It needs matplotlib."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -29,23 +29,23 @@ class DrapeSeries:
 
     @property
     def coefficient(self) -> float:
-        """Mean drape coefficient."""
+        """Mean drape coefficient of the specimens."""
         return statistics.fmean(drape.coefficient for drape in self.drapes)
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the coefficient between specimens; 0 for one."""
+        """Standard deviation of the drape coefficient between specimens; 0 for one specimen."""
         coefficients = [drape.coefficient for drape in self.drapes]
         return statistics.stdev(coefficients) if len(coefficients) > 1 else 0.0
 
     @property
     def nodes(self) -> float:
-        """Mean number of nodes."""
+        """Mean number of nodes (folds) of the specimens."""
         return statistics.fmean(drape.shadow.nodes for drape in self.drapes)
 
     @property
     def mesh_error(self) -> float | None:
-        """Estimated error of the mean coefficient by the mesh; None without coarser drapes."""
+        """Estimated error of the mean drape coefficient by the mesh; None without coarser drapes."""
         if not self.coarse:
             return None
         pairs = zip(self.drapes, self.coarse, strict=True)
@@ -123,7 +123,7 @@ def drape_series(
 
 
 def describe(series: DrapeSeries) -> str:
-    """Return the result as text."""
+    """Return the text report of a series of drapes."""
     fabric, test = series.sample.fabric, series.test
     support = "contact with the plate" if test.contact else "held on the plate"
     size = f"{1e3 * test.diameter:g} mm on {1e3 * test.plate_diameter:g} mm"

@@ -68,7 +68,7 @@ def find_equilibrium(
     max_residual: float = MAX_RESIDUAL,
     max_time: float = 30.0,
 ) -> Equilibrium:
-    """Let a cloth come to rest, on one thread.
+    """Let the cloth of a scene come to rest in viscous air, on one thread; return its equilibrium.
 
     Args:
         scene: the cloth; its anchors and obstacles stay where they are.
@@ -134,7 +134,7 @@ def _check_work(simulation: Simulation) -> None:
 
 
 def out_of_balance(plan: Plan, state: State, t: float, drag: float) -> float:
-    """Return the largest out-of-balance force on a particle over its weight on Earth.
+    """Return the largest force on a particle, or drag on its velocity, over the particle's weight.
 
     Args:
         plan: equations of motion.

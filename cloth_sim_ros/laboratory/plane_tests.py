@@ -40,7 +40,7 @@ _PLANE = {"bending.model": "none", "material.bending_modulus": 0.0, "material.be
 def _clamp_force(
     sample: FabricSample, size: tuple[float, float], angle: float, cells: int, shift: tuple[float, float]
 ) -> Array:
-    """Return the force on the upper clamp that holds a strip, over its width [N/m], (2,).
+    """Return the force per width on a strip's upper clamp, across and along the strip [N/m], shape (2,).
 
     Args:
         sample: the fabric.
@@ -61,7 +61,7 @@ def _clamp_force(
 
 
 def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure strips along warp and weft: load at several extensions, and the modulus at the smallest."""
+    """Measure the load of strips along warp and weft at several extensions, and their tensile modulus."""
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.pair("material.stretch_modulus"), strict=True
@@ -84,7 +84,7 @@ def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
 
 
 def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure a specimen between clamps along the weft that move past each other.
+    """Measure the load of a specimen at several shear angles between parallel clamps, and its shear modulus.
 
     The modulus is the slope of the force between the first two angles. The specimen's free sides bear no shear, which
     makes it smaller than the fabric's.
@@ -103,7 +103,7 @@ def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measureme
 
 
 def measure_bias_extension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure a strip at 45 degrees to its threads."""
+    """Measure the load of a strip at 45 degrees to its threads at several extensions, and the moduli from it."""
     length, width = BIAS_SIZE
     loads = [
         float(_clamp_force(sample, BIAS_SIZE, 0.25 * math.pi, cells, (0.0, extension * length))[1])
@@ -137,7 +137,7 @@ def measure_bias_extension(sample: FabricSample, *, cells: int = CELLS) -> list[
 def _curve(
     quantity: str, direction: str, points: tuple[float, ...], loads: list[float], *, unit: str = "%"
 ) -> list[Measurement]:
-    """Return the points of a curve of loads [N/m]."""
+    """Return a measurement for each point of a curve of loads [N/m] over extension or angle."""
     texts = [f"{100.0 * point:g} %" if unit == "%" else f"{math.degrees(point):.3g} degrees" for point in points]
     return [
         Measurement(quantity=f"{quantity} at {text}", direction=direction, unit="N/m", measured=load)

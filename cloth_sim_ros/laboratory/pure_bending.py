@@ -31,7 +31,7 @@ _MAX_RESIDUAL = 0.02
 
 
 def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure strips along warp and weft: modulus, moments at several curvatures, width of a loop with friction."""
+    """Measure the bending modulus of strips along warp and weft, moments, and the hysteresis by friction."""
     friction_moment = float(sample.parameters["bending.friction_moment"])
     measurements = []
     for direction, angle, stated in zip(
@@ -64,14 +64,14 @@ def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
 
 
 def bending_moment(sample: FabricSample, angle: float, curvature: float, *, cells: int = CELLS) -> float:
-    """Return the moment per width of a flat strip that is bent [N]; arguments as of `bending_moments`."""
+    """Return the moment per width of a strip that is bent from flat to a curvature [1/m], in N."""
     return bending_moments(sample, angle, (curvature,), cells=cells)[0]
 
 
 def bending_moments(
     sample: FabricSample, angle: float, curvatures: Sequence[float], *, cells: int = CELLS
 ) -> list[float]:
-    """Return the moments per width of a flat strip that is bent to one curvature after the other [N].
+    """Return the moments per width [N] of a strip that is bent from flat to one curvature after the other.
 
     Args:
         sample: the fabric.
@@ -98,7 +98,7 @@ def bending_moments(
 
 
 def _arc(points: Array, cell: float, curvature: float) -> Array:
-    """Return particles of a flat strip along y on a polygon whose sides turn by curvature times cell, (n, 3)."""
+    """Return a strip's particles on a circular arc, a polygon with an angle of curvature times cell, shape (n, 3)."""
     rows = np.rint(points[:, 1] / cell).astype(np.int64)
     turns = curvature * cell * np.arange(rows.max())
     y = np.concatenate([[0.0], np.cumsum(cell * np.cos(turns))])

@@ -26,7 +26,7 @@ _SHEET_FABRICS = (FABRIC, "bending.rest_angles", "bending.rest_angle", "bending.
 
 @attrs.frozen(kw_only=True)
 class FabricSample:
-    """Fabric of a test."""
+    """Fabric of a textile test, with its parameters by full name."""
 
     fabric: Fabric
     #: Every parameter of the fabric by full name, defaults included.
@@ -34,21 +34,21 @@ class FabricSample:
 
     @property
     def title(self) -> str:
-        """Name of the fabric for people."""
+        """Readable name of the fabric."""
         return self.fabric.title or self.fabric.name
 
     @property
     def density(self) -> float:
-        """Mass per area [kg/m^2]."""
+        """Mass of the fabric per area [kg/m^2]."""
         return float(self.parameters["material.density"])
 
     def pair(self, name: str) -> tuple[float, float]:
-        """Return a parameter's values along warp and weft, e.g. of ``material.bending_modulus``."""
+        """Return a parameter's values along warp and weft, from the name of the one along warp."""
         warp = float(self.parameters[name])
         return warp, float(self.parameters[f"{name}_weft"]) or warp
 
     def scene(self, values: Mapping[str, Any], files: Mapping[str, bytes] | None = None) -> Scene:
-        """Return a scene of the fabric without grippers.
+        """Return a scene with a cloth of the fabric, without grippers.
 
         Args:
             values: further parameters, which override the fabric's.
@@ -61,7 +61,7 @@ class FabricSample:
 
 
 def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> FabricSample:
-    """Return the fabric of a name, of a fabric file, or of a scene file (ROS parameters).
+    """Return the fabric of a test by its name, or from a fabric file or a scene file (ROS parameters).
 
     Args:
         source: name of a fabric, or path of a file.

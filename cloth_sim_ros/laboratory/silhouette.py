@@ -20,7 +20,7 @@ MIN_NODE_DEPTH = 0.01
 
 @attrs.frozen(eq=False, kw_only=True)
 class Silhouette:
-    """Vertical projection of a specimen about its centre."""
+    """Shadow of a draped specimen, its vertical projection: area, contour and number of nodes."""
 
     #: Area of the shadow, the plate's included [m^2].
     area: float
@@ -45,7 +45,7 @@ def silhouette(positions: Array, triangles: NDArray[np.int64], plate_radius: flo
 
 
 def _contour(points: Array, triangles: NDArray[np.int64], plate_radius: float) -> Array:
-    """Return the distance of the farthest point of the triangles in each direction [m], shape (N_DIRECTIONS,)."""
+    """Return the distance of the shadow's border from the centre in each direction [m], shape (N_DIRECTIONS,)."""
     corners = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     edges = np.unique(np.sort(corners, axis=1), axis=0)
     angles = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * math.pi) * (N_DIRECTIONS / (2.0 * math.pi))
@@ -74,7 +74,7 @@ def _contour(points: Array, triangles: NDArray[np.int64], plate_radius: float) -
 
 
 def _count_nodes(radii: Array) -> int:
-    """Return the number of maxima of a closed contour that are separated by valleys of some depth."""
+    """Return the number of nodes (folds) of a contour: maxima that valleys of some depth separate."""
     limit = MIN_NODE_DEPTH * float(radii.mean())
     rolled = np.roll(radii, -int(np.argmin(radii))).tolist()
     nodes, is_rising, extreme = 0, True, rolled[0]

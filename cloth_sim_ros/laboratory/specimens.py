@@ -28,7 +28,7 @@ _MAX_PARTICLES = 100_000
 
 @attrs.frozen(eq=False, kw_only=True)
 class DiscMesh:
-    """Mesh of a disc or an annulus in the x-y plane."""
+    """Triangle mesh of a disc or an annulus in the x-y plane."""
 
     #: Particles [m], shape (n, 2).
     points: Array
@@ -36,7 +36,7 @@ class DiscMesh:
     triangles: NDArray[np.int64]
 
     def obj(self) -> bytes:
-        """Return the mesh as an OBJ file."""
+        """Return the mesh as the bytes of an OBJ file."""
         lines = [f"v {x!r} {y!r} 0" for x, y in self.points.tolist()]
         lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in self.triangles.tolist()]
         return "\n".join([*lines, ""]).encode()
@@ -51,7 +51,7 @@ class DiscMesh:
 def disc_mesh(
     radius: float, plate_radius: float, edge_length: float, *, pattern: str = "regular", seed: int = 0
 ) -> DiscMesh:
-    """Return the mesh of a disc.
+    """Return the triangle mesh of a disc, with a ring of particles along the plate's edge.
 
     Args:
         radius: radius of the disc [m].
@@ -95,7 +95,7 @@ def disc_mesh(
 
 
 def annulus(mesh: DiscMesh, plate_radius: float) -> DiscMesh:
-    """Return the part of a disc that a held plate leaves free, with the ring of triangles inside the plate's edge.
+    """Return the part of a disc's mesh beyond the plate, with the ring of triangles inside the plate's edge.
 
     Args:
         mesh: the disc, with a ring of particles along the plate's edge.
@@ -111,7 +111,7 @@ def annulus(mesh: DiscMesh, plate_radius: float) -> DiscMesh:
 
 
 def is_on_plate(points: Array, plate_radius: float) -> NDArray[np.bool_]:
-    """Return true for each of the points (n, 2) on a plate of a radius [m], its edge included, shape (n,)."""
+    """Return a mask, shape (n,), of the points (n, 2) that lie on a plate of a radius [m], its edge included."""
     return np.asarray(np.hypot(*points.T) < plate_radius * (1.0 + 1e-9))
 
 
@@ -134,7 +134,7 @@ def _ring_points(radius: float, plate_radius: float, edge_length: float, seed: i
 
 
 def _regular_points(radius: float, edge_length: float, angle: float) -> Array:
-    """Return the corners of regular triangles at an angle [rad] over a square of twice the radius, (n, 2)."""
+    """Return points of a regular triangle lattice at an angle [rad], over twice the radius, shape (n, 2)."""
     n_rows = math.ceil(2.0 * radius / edge_length) + 2
     row, column = (index.ravel() for index in np.mgrid[-n_rows : n_rows + 1, -n_rows : n_rows + 1])
     x, y = (column + 0.5 * (row % 2)) * edge_length, row * edge_length * ROW
@@ -143,7 +143,7 @@ def _regular_points(radius: float, edge_length: float, angle: float) -> Array:
 
 
 def _triangulated(points: Array) -> DiscMesh:
-    """Return the Delaunay triangles of points (n, 2), without slivers along the border."""
+    """Return the Delaunay mesh of points (n, 2), without slivers along the border."""
     from scipy.spatial import Delaunay
 
     triangles = Delaunay(points).simplices.astype(np.int64)

@@ -24,7 +24,7 @@ STIFF_DRAG = 200.0
 
 @attrs.frozen(kw_only=True)
 class Measurement:
-    """Measured quantity of a specimen, and the fabric's value beside it."""
+    """Measured quantity of a specimen, and the value that the fabric states for it."""
 
     quantity: str
     #: Direction of the specimen: warp, weft or bias; empty if it has none.
@@ -36,13 +36,13 @@ class Measurement:
 
     @property
     def ratio(self) -> float | None:
-        """Measured over stated value."""
+        """Measured over stated value; None without a stated one."""
         return self.measured / self.stated if self.stated else None
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class FabricStrip:
-    """Flat strip along y, from y = 0 on, with rows of particles across."""
+    """Flat strip of fabric along y, from y = 0 on, on a grid of particles."""
 
     scene: Scene
     #: Particles at rest [m], shape (n, 3).
@@ -51,21 +51,21 @@ class FabricStrip:
     cell: float
 
     def rows(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Return true for particles of the rows from `first` to `last`, counted from y = 0, shape (n,)."""
+        """Return a mask, shape (n,), of the particles in the rows from `first` to `last`, counted from y = 0."""
         row = np.rint(self.points[:, 1] / self.cell)
         return np.asarray((row >= first) & (row <= last))
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
+        """Number of rows of particles along the strip."""
         return int(np.rint(self.points[:, 1].max() / self.cell)) + 1
 
     def at_rest(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Array:
-        """Return the positions of equilibrium [m], (n, 3); arguments and errors as of `equilibrium`."""
+        """Return the positions of the strip's equilibrium [m], (n, 3); arguments and errors as of `equilibrium`."""
         return self.equilibrium(start, held, **options).positions
 
     def equilibrium(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Equilibrium:
-        """Return the equilibrium.
+        """Return the equilibrium of the strip with some of its particles held. Raises LaboratoryError without one.
 
         Args:
             start: positions at the beginning, those of held particles included [m], shape (n, 3).
@@ -108,7 +108,7 @@ def strip(
     min_columns: int = 3,
     values: Mapping[str, Any] | None = None,
 ) -> FabricStrip:
-    """Return a strip that nothing holds.
+    """Return a flat strip of a fabric, cut at an angle to the warp, that nothing holds.
 
     Args:
         sample: the fabric.
@@ -136,7 +136,7 @@ def strip(
 
 
 def _direction(angle: float) -> list[float]:
-    """Return the direction at an angle from y [rad]; along an axis it is exact."""
+    """Return the unit vector in the x-y plane at an angle from y [rad]; along an axis it is exact."""
     quarter = angle / (0.5 * math.pi)
     if quarter == round(quarter):
         return [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]][round(quarter) % 2]
@@ -144,7 +144,7 @@ def _direction(angle: float) -> list[float]:
 
 
 def describe(title: str, measurements: Sequence[Measurement]) -> str:
-    """Return measurements as a table under a title."""
+    """Return measurements as a text table under a title."""
     width = max(len(measurement.quantity) for measurement in measurements)
     lines = [title, f"  {'':{width}}  {'':5}  {'measured':>10}  {'fabric':>10}  {'ratio':>6}"]
     for measurement in measurements:

@@ -53,7 +53,7 @@ class ActionDecoder:
         self.shape = (len(self.names), ORIENTED_ACTION_SIZE if has_orientations else ACTION_SIZE)
 
     def validate(self, actions: Any, leading_shape: tuple[int, ...], *, dtype: type = np.float64) -> NDArray[Any]:
-        """Return actions as an array of shape (*lead, grippers, 4 or 8), checked.
+        """Return actions as an array of shape (*leading_shape, grippers, 4 or 8); refuse invalid ones.
 
         Raises:
             ValueError: if the shape differs, a number is not finite, or a quaternion has no length.
@@ -82,7 +82,7 @@ class ActionDecoder:
         return array
 
     def to_events(self, action: NDArray[Any], simulation: Simulation) -> list[Event]:
-        """Return the events of one cloth's action for the next frame.
+        """Return the targets and grasps that one cloth's action commands in the next frame.
 
         A gripper gets a `Grasp` event only if its grasp changes.
 
@@ -105,7 +105,7 @@ class ActionDecoder:
     def _limit_travel(
         self, previous: Sequence[float], position: Sequence[float], orientation: Sequence[float] | None
     ) -> tuple[Sequence[float], Sequence[float] | None]:
-        """Return the commanded pose, moved towards the previous target until the speed limit holds."""
+        """Return the pose towards the commanded one that a target can reach in a frame at the speed limit."""
         if orientation is not None:
             length = math.sqrt(ordered_sum(component * component for component in orientation))
             unit = [component / length for component in orientation]

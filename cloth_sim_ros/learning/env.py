@@ -20,7 +20,7 @@ from cloth_sim_ros.simulation.snapshot import Snapshot
 
 
 class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
-    """Cloth that grippers move: a `ClothVectorEnv` with one cloth.
+    """Gymnasium environment of one cloth that grippers move: a `ClothVectorEnv` with one cloth.
 
     Args:
         options: options of `ClothVectorEnv` except `num_envs`, `autoreset_mode` and `copy`. Functions of the user get

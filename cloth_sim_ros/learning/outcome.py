@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.state.state import State
 
 @attrs.frozen(kw_only=True, eq=False)
 class Outcome:
-    """Outcome of one step of N cloths; read only."""
+    """Outcome of one environment step of N cloths, the read-only argument of reward functions."""
 
     #: Observed positions [m], shape (N, m, 3), or positions and velocities [m/s], shape (N, m, 6); float32.
     observations: NDArray[np.float32]
@@ -46,7 +46,7 @@ OutcomeFunction: TypeAlias = Callable[[Outcome], Any]
 
 
 def evaluate_outcome(name: str, function: OutcomeFunction | None, outcome: Outcome, dtype: type) -> NDArray[Any]:
-    """Return the values of a user's function for all cloths, shape (N,); zeros or false without a function.
+    """Call a user's reward or termination function; return a value for each cloth, (N,), zeros without one.
 
     Args:
         name: name of the function, for the error text.

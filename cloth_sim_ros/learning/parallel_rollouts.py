@@ -22,7 +22,7 @@ from cloth_sim_ros.simulation.thread_pool import ThreadPool, resolve_worker_coun
 
 @attrs.frozen(kw_only=True, eq=False)
 class Trajectories:
-    """Trajectories of K rollouts of T frames with m recorded particles."""
+    """Particles, wrenches and final snapshots of K rollouts of T frames with m recorded particles."""
 
     #: Positions at the ends of frames [m], shape (K, T, m, 3), float32.
     positions: NDArray[np.float32]
@@ -43,7 +43,7 @@ def rollouts(
     threads: int | None = None,
     processes: int | None = None,
 ) -> Trajectories:
-    """Roll out several action sequences from one snapshot.
+    """Roll out several action sequences from one snapshot, in threads or processes; return the trajectories.
 
     The result of a rollout is independent of the number of threads or processes and of the other rollouts.
 

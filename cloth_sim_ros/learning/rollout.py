@@ -22,7 +22,7 @@ ParticleSelection: TypeAlias = NDArray[np.int64] | slice
 
 @attrs.frozen(kw_only=True, eq=False)
 class RolloutRequest:
-    """Actions and outputs that all rollouts of a call share."""
+    """Type of the actions, and recorded particles, that all rollouts of a call share."""
 
     #: True if actions have orientations.
     has_orientations: bool
@@ -38,7 +38,7 @@ Rollout: TypeAlias = tuple[NDArray[np.float32], Array, Snapshot]
 
 
 def roll_out(simulation: Simulation, snapshot: Snapshot, actions: NDArray[Any], request: RolloutRequest) -> Rollout:
-    """Roll out one action sequence.
+    """Simulate one action sequence from a snapshot; return recorded particles, wrenches and the final snapshot.
 
     Args:
         simulation: simulation of the snapshot's scene; its state is overwritten.
@@ -59,7 +59,7 @@ def roll_out(simulation: Simulation, snapshot: Snapshot, actions: NDArray[Any], 
 
 
 def select_particles(particles: ArrayLike | None, count: int) -> tuple[ParticleSelection, int]:
-    """Return an index of particles and their number; all particles by default.
+    """Return an index that selects particles, and their number; None selects all.
 
     Args:
         particles: indices of particles, or None for all.

@@ -28,7 +28,7 @@ Prepare = Callable[[Simulation], None]
 
 
 class SimulationPool:
-    """Cloths that are stepped together.
+    """Cloths that threads step together; between steps each is stored as a snapshot.
 
     Args:
         count: number of cloths.
@@ -53,7 +53,7 @@ class SimulationPool:
         return simulation
 
     def reset(self, indices: list[int], scenes: list[Scene]) -> None:
-        """Start a new episode of some cloths.
+        """Start a new episode of some cloths, each from its scene.
 
         Args:
             indices: indices of the cloths.
@@ -93,7 +93,7 @@ class SimulationPool:
         frames: int,
         on_step: Callable[[int, Simulation, Array, int], None],
     ) -> None:
-        """Step cloths for some frames, each by its action.
+        """Step some cloths for some frames, each by its action; call `on_step` for each.
 
         If one cloth fails, none is changed.
 

@@ -47,7 +47,7 @@ def scene_of(source: Scene | str | Path | Mapping[str, Any] | None, base: Scene 
 
 
 def check_positive_integer(name: str, value: Any) -> int:
-    """Return a whole number of at least 1.
+    """Return an option's value as an int; refuse one that is no whole number of at least 1.
 
     Args:
         name: name of the option, for the error text.
@@ -62,7 +62,7 @@ def check_positive_integer(name: str, value: Any) -> int:
 
 
 def make_workspace(bounds: ArrayLike | None, start: Array) -> Array:
-    """Return the lowest and the highest corner of the targets' box [m], shape (2, 3).
+    """Return the box of permitted gripper targets, its lowest and highest corner [m], shape (2, 3).
 
     Args:
         bounds: the user's box; None for the box of the initial cloth, extended by twice its size on each side.
@@ -85,7 +85,7 @@ def make_workspace(bounds: ArrayLike | None, start: Array) -> Array:
 
 
 def action_space(decoder: ActionDecoder, workspace: Array) -> Box:
-    """Return the space of one cloth's actions: targets in the workspace, quaternions, grasps.
+    """Return the gymnasium space of one cloth's actions: targets in the workspace, quaternions, grasps.
 
     Args:
         decoder: decoder of the actions.
@@ -101,7 +101,7 @@ def action_space(decoder: ActionDecoder, workspace: Array) -> Box:
 
 
 def observation_space(shape: tuple[int, ...]) -> Box:
-    """Return an unbounded space of positions [m] and velocities [m/s]; its bounds are broadcast from one number."""
+    """Return an unbounded gymnasium space of observations, whose bounds take no memory."""
     from gymnasium.spaces import Box
 
     space = Box(-np.inf, np.inf, shape, np.float32)
@@ -112,7 +112,7 @@ def observation_space(shape: tuple[int, ...]) -> Box:
 
 
 def mode_of(name: str | AutoresetMode) -> AutoresetMode:
-    """Return an autoreset mode by its name.
+    """Return gymnasium's autoreset mode of a name.
 
     Raises:
         ValueError: if the name is unknown.
@@ -127,7 +127,7 @@ def mode_of(name: str | AutoresetMode) -> AutoresetMode:
 
 
 def mask_of(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
-    """Return the mask ``options["reset_mask"]`` of reset cloths, shape (count,); all true by default.
+    """Return a mask of the cloths to reset, ``options["reset_mask"]``, shape (count,); all true by default.
 
     Raises:
         ValueError: if an option is unknown, or the mask has another shape or type or selects no cloth.

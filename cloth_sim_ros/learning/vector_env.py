@@ -43,7 +43,7 @@ SPEED = 1.0
 
 
 class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
-    """N cloths that grippers move.
+    """Gymnasium vector environment of N cloths that grippers move.
 
     Actions have the shape (num_envs, grippers, 4 or 8), float32. The row of a gripper holds its target position [m] and
     a grasp from 0 to 1. A grasp of 0.5 or more closes the gripper. If `orientations` is true, a quaternion x, y, z, w
@@ -142,12 +142,12 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """Random generator of each cloth."""
+        """Random generator of each cloth, a tuple."""
         return self._generators.generators()
 
     @property
     def np_random_seed(self) -> Any:
-        """Seed of each cloth's random generator."""
+        """Seed of each cloth's random generator, a tuple."""
         return self._generators.seeds()
 
     def reset(
@@ -218,7 +218,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         return self._returned_observations(), rewards, terminations, truncations, infos
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Stop the threads."""
+        """Stop the threads; `close` calls it."""
         self._thread_pool.close()
 
     def _check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:

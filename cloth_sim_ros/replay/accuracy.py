@@ -42,7 +42,7 @@ _CURVES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuredAccuracy:
-    """Numbers of a certificate."""
+    """Errors of a session's frames and particles, read from a certificate."""
 
     rows: dict[int, int]
     """Row of each frame's numbers by frame index."""
@@ -53,14 +53,14 @@ class MeasuredAccuracy:
     """Error of the last colour [m]."""
 
     def errors(self, frame: int) -> NDArray[np.float32]:
-        """Return the errors of a frame's particles [m], shape (n,); 0 if unknown."""
+        """Return the error of each particle in a frame [m], shape (n,); 0 if unknown."""
         row = self.rows.get(frame)
         if row is None:
             return np.zeros(self.particles.shape[1], np.float32)
         return np.nan_to_num(self.particles[row])
 
     def curves(self, frame: int) -> Iterator[tuple[str, float]]:
-        """Yield path and log10 of each curve at a frame: errors differ by orders of magnitude."""
+        """Yield plot path and log10 of each error and bound of a frame, which differ by orders of magnitude."""
         row = self.rows.get(frame)
         if row is None:
             return
@@ -71,7 +71,7 @@ class MeasuredAccuracy:
 
 
 def draw_curves(recording: rr.RecordingStream) -> None:
-    """Log names and colours of the curves."""
+    """Log names and colours of the accuracy curves to Rerun."""
     import rerun as rr
 
     for path, name, colour in _CURVES.values():

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 
 def eye_position(scan: PreScan) -> tuple[Floats, Floats]:
-    """Return position and target of the camera [m], on the side of the sheet with the grippers."""
+    """Return position and target point of the viewer's eye [m], on the side of the sheet with the grippers."""
     target = 0.5 * (scan.low + scan.high)
     radius = 0.5 * float(np.linalg.norm(scan.high - scan.low))
     facing = scan.normal * np.array([1.0, 1.0, 0.0])
@@ -53,7 +53,7 @@ def eye_position(scan: PreScan) -> tuple[Floats, Floats]:
 
 
 def make_blueprint(scan: PreScan, *, following: bool = False, picture: bool = False) -> rrb.Blueprint:
-    """Return the blueprint of a session. `following`: time cursor on the newest frame. `picture`: no menus."""
+    """Return the viewer's layout for a session. `following`: cursor on the newest frame. `picture`: no menus."""
     import rerun.blueprint as rrb
 
     position, target = eye_position(scan)

@@ -29,7 +29,7 @@ def strain_colours(strain: NDArray[np.float32], limit: float, out: NDArray[np.ui
 
 @functools.cache
 def _table() -> NDArray[np.uint32]:
-    """Return 256 colours, equidistant on straight lines in OKLab: equal steps look equal."""
+    """Return the 256 colours of the ramp, equidistant in the colour space OKLab: equal steps look equal."""
     lightness, chroma, hue = np.array(_RAMP).T
     corners = np.stack([lightness, chroma * np.cos(np.radians(hue)), chroma * np.sin(np.radians(hue))], axis=1)
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
@@ -42,7 +42,7 @@ def _table() -> NDArray[np.uint32]:
 
 
 def _srgb(lab: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Map OKLab to sRGB in 0..1, shape (n, 3): B. Ottosson, "A perceptual color space for image processing", 2020."""
+    """Convert OKLab colours to sRGB in 0..1, shape (n, 3) (B. Ottosson, 2020)."""
     to_cones = np.array(
         [[1.0, 0.3963377774, 0.2158037573], [1.0, -0.1055613458, -0.0638541728], [1.0, -0.0894841775, -1.2914855480]]
     )

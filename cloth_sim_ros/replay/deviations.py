@@ -25,12 +25,12 @@ _N_MOMENTS = 1000
 
 
 def ensemble_topic(node: str) -> str:
-    """Return the topic of a node's ensemble."""
+    """Return the topic on which a node publishes the cloud of its ensemble."""
     return f"{node}/ensemble"
 
 
 def read_deviations(data: bytes, particle_count: int) -> NDArray[np.floating]:
-    """Return the deviations in a message [m], shape (n,).
+    """Return the deviation of each particle [m], shape (n,), from an ensemble's cloud.
 
     Raises:
         SessionError: if it has none, or those of another cloth.
@@ -44,7 +44,7 @@ def read_deviations(data: bytes, particle_count: int) -> NDArray[np.floating]:
 def typical_deviation(
     reader: SessionReader, windows: Sequence[tuple[int | None, int | None]], particle_count: int
 ) -> float:
-    """Return a deviation that few particles of a session exceed [m], from one message in each window of log time."""
+    """Return a deviation [m] that few clouds of a session exceed, by one cloud from each window of log time."""
     largest = [_MIN_DEVIATION]
     for start, end in windows:
         for message in reader.messages([ensemble_topic(reader.node)], start=start, end=end):
@@ -55,15 +55,15 @@ def typical_deviation(
 
 
 class RecentMoments:
-    """Times of the newest frames."""
+    """Simulated and ROS times of the newest frames."""
 
     def __init__(self) -> None:
         self._moments: deque[Moment] = deque(maxlen=_N_MOMENTS)
 
     def add(self, moment: Moment) -> None:
-        """Add a frame."""
+        """Add the times of a frame."""
         self._moments.append(moment)
 
     def find(self, stamp: int) -> Moment | None:
-        """Return the newest frame that was due at a ROS time [ns]; None if it is unknown."""
+        """Return the times of the newest frame that was due at a ROS time [ns]; None if it is unknown."""
         return next((moment for moment in reversed(self._moments) if moment.ros_time == stamp), None)

@@ -22,22 +22,22 @@ _AXIS_COLOURS = ((230, 80, 80), (90, 200, 90), (90, 140, 250))
 
 
 def gripper_path(name: str) -> str:
-    """Return the entity path of a gripper."""
+    """Return the Rerun entity path of a gripper."""
     return f"/world/grippers/{name}"
 
 
 def target_path(name: str) -> str:
-    """Return the entity path of a gripper's targets."""
+    """Return the Rerun entity path of a gripper's targets."""
     return f"/world/targets/{name}"
 
 
 def held_path(name: str) -> str:
-    """Return the entity path of the particles that a gripper holds."""
+    """Return the Rerun entity path of the particles that a gripper holds."""
     return f"/world/held/{name}"
 
 
 class GripperView:
-    """Draws the grippers of a session.
+    """Draws a session's grippers in Rerun.
 
     Args:
         tracks: their poses and held particles.
@@ -50,7 +50,7 @@ class GripperView:
         self._shown: set[str] = set()
 
     def start(self, recording: rr.RecordingStream, size: float) -> None:
-        """Log the static components, for a scene of a size [m]."""
+        """Log the components that do not change, such as line widths, for a scene of a size [m]."""
         import rerun as rr
 
         for name in self._tracks.tracks:
@@ -68,7 +68,7 @@ class GripperView:
                 recording.log(point_path, points, static=True)
 
     def show(self, moment: Moment) -> None:
-        """Show the poses of the grippers; after a reset, a gripper without a pose is hidden."""
+        """Draw the grippers at their poses of a moment; one without a pose, as after a reset, is hidden."""
         import rerun as rr
 
         for name, track in self._tracks.tracks.items():
@@ -96,7 +96,7 @@ class GripperView:
         return {name: xyz[:0] if track.held is None else xyz[track.held] for name, track in tracks}
 
     def show_held(self, moment: Moment, held: dict[str, Any]) -> None:
-        """Show held particles."""
+        """Draw the particles that grippers hold at a moment."""
         import rerun as rr
 
         for name, positions in held.items():

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 
 class GripperTrack:
-    """One gripper over the session.
+    """Pose, target and held particles of one gripper, frame by frame, from recorded events.
 
     A gripper reaches its target at the end of each frame in which time passes, unless the frame's record has another
     pose. Like in the simulation, it grasps the free particles within its radius when it closes. Their positions come
@@ -44,7 +44,7 @@ class GripperTrack:
         self.held: NDArray[np.intp] | None = held.astype(np.intp)
 
     def set_target(self, position: Floats, orientation: Floats | None) -> None:
-        """Set the target; the first one places the gripper."""
+        """Set the target position [m] and orientation; the first target places the gripper there."""
         self.target[:3] = position
         if orientation is not None:
             self.target[3:] = orientation / np.linalg.norm(orientation)
@@ -52,7 +52,7 @@ class GripperTrack:
             self.pose = self.target.copy()
 
     def end_frame(self, pose: Floats | None, *, is_stopped: bool) -> None:
-        """Move to the pose at the end of a frame.
+        """Move the gripper to its pose at the end of a frame: the recorded one, or its target.
 
         Args:
             pose: recorded pose at the end, shape (7,); None if none is recorded.
@@ -66,7 +66,7 @@ class GripperTrack:
             self.pose = self.target.copy()
 
     def close(self, xyz: NDArray[np.floating] | None, free: NDArray[np.bool_], radius: float) -> None:
-        """Close on the particles at xyz (n, 3) [m]; None if their positions are unknown."""
+        """Close the gripper on free particles within its radius; `xyz`: positions (n, 3) [m], None if unknown."""
         if self.closed:
             return
         self.closed = True
@@ -78,13 +78,13 @@ class GripperTrack:
             self.held = np.flatnonzero(in_reach & free)
 
     def open(self) -> None:
-        """Open and release the particles."""
+        """Open the gripper and release its particles."""
         self.closed = False
         self.held = np.zeros(0, dtype=np.intp)
 
 
 class GripperTracks:
-    """All grippers of a session."""
+    """Poses, targets and held particles of all grippers of a session, frame by frame."""
 
     def __init__(self, opening: Opening, anchored: NDArray[np.intp]) -> None:
         #: Maximum distance at which a gripper grasps particles [m].
@@ -111,7 +111,7 @@ class GripperTracks:
     def advance(
         self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating] | None]
     ) -> list[int | None]:
-        """Apply the events of a frame.
+        """Apply the recorded events of a frame; return the number of particles held after each event.
 
         Args:
             record: record of the frame.

@@ -33,7 +33,7 @@ _COMMANDS = {"target": "geometry_msgs/msg/PoseStamped", "point": "geometry_msgs/
 
 
 class LiveView:
-    """Shows the messages of a node as they come. Each start of the node begins a new recording.
+    """Shows a running node's messages in Rerun as they come; each start of the node begins a new recording.
 
     Args:
         node: resolved name of the node.
@@ -76,7 +76,7 @@ class LiveView:
 
     @property
     def is_showing(self) -> bool:
-        """True once the surface of the present node is shown."""
+        """True once the cloth of the present node is shown."""
         return self._stream is not None
 
     def add(self, topic: str, data: bytes) -> None:
@@ -87,7 +87,7 @@ class LiveView:
             self._report(topic, f"a message on {topic} is not shown: {error}")
 
     def finish(self) -> None:
-        """Send what is pending, and end the recording."""
+        """Send pending rows to Rerun, and end the recording."""
         if self._stream is not None:
             self._stream.finish()
         if self._recording is not None:
@@ -95,7 +95,7 @@ class LiveView:
         self._reset()
 
     def _report(self, subject: str, sentence: str) -> None:
-        """Send a sentence, once for each subject."""
+        """Pass a sentence to `on_message`, once for each subject."""
         if subject not in self._reported:
             self._reported.add(subject)
             self._on_message(sentence)
@@ -137,7 +137,7 @@ class LiveView:
         return Message(topic, "", data, stamp, stamp, 0)
 
     def _is_of_node(self, topic: str, data: bytes) -> bool:
-        """Return true unless a message on a topic of all nodes is of another one."""
+        """Return true unless the message is another node's, on a topic that nodes share."""
         name = self._node.strip("/")
         if topic == DIAGNOSTICS_TOPIC:
             message = decode(data, "diagnostic_msgs/msg/DiagnosticArray")
@@ -170,7 +170,7 @@ class LiveView:
         self._states.append((topic, data))
 
     def _show_frame(self) -> None:
-        """Show a cloud and its time once both have come."""
+        """Show a cloud of the node with its simulated time, once both have come."""
         if self._time is None or self._cloud is None or self._surface is None or self._parameters is None:
             return
         data, time = self._cloud, self._time
@@ -214,7 +214,7 @@ def live_scan(
     obstacles: bytes | None = None,
     strain_limit: float = FOLLOWED_LIMIT,
 ) -> PreScan:
-    """Return the scan of a running node from its first cloud.
+    """Return bounds, geometry and plots of a running node for the viewer, from its first cloud.
 
     Args:
         cloud: first cloud.

@@ -32,7 +32,7 @@ _MEMORY = "2GB"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw until the input ends; return the exit status."""
+    """Show the messages on standard input in Rerun until the input ends; return the exit status."""
     escape_unencodable()
     options = _parser().parse_args(arguments)
     if any(importlib.util.find_spec(library) is None for library in ("rerun", "mcap", "rosbags")):
@@ -79,7 +79,7 @@ def _start_viewer(options: argparse.Namespace) -> Viewer | None:
 
 
 def _load_libraries() -> None:
-    """Load what the first message would wait for."""
+    """Import the libraries that the first message needs, while the viewer starts."""
     # Rerun's errors are reported here, in one sentence.
     os.environ.setdefault("RUST_LOG", "off")
     import rerun.blueprint  # noqa: F401
@@ -128,7 +128,7 @@ def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
 
 
 def numbered(path: Path, index: int) -> Path:
-    """Return the file of a recording: the second one of `out.rrd` is `out_2.rrd`."""
+    """Return the path of the recording number `index`: the second one of `out.rrd` is `out_2.rrd`."""
     return path if index == 1 else path.with_name(f"{path.stem}_{index}{path.suffix}")
 
 

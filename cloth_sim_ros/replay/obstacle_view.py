@@ -23,12 +23,12 @@ _DELETE, _DELETE_ALL = 2, 3
 
 
 def obstacle_path(namespace: str, marker_id: int) -> str:
-    """Return the entity path of an obstacle's marker, from the marker's namespace and id."""
+    """Return the Rerun entity path of an obstacle's marker, from the marker's namespace and id."""
     return f"/world/obstacles/{namespace.rpartition('/')[2]}/{marker_id}"
 
 
 class ObstacleView:
-    """Draws the obstacles of a session.
+    """Draws a session's obstacles in Rerun.
 
     Args:
         recording: Rerun stream.
@@ -42,7 +42,7 @@ class ObstacleView:
         self._shown: dict[tuple[str, int], bytes | None] = {}
 
     def show(self, moment: Moment, data: bytes | memoryview) -> None:
-        """Show the obstacles of a serialized MarkerArray at a moment.
+        """Draw the markers of a serialized MarkerArray at a moment.
 
         Raises:
             SessionError: if the bytes are not one.
@@ -100,7 +100,7 @@ def _archetype(kind: int) -> Any:
 
 
 def _static_components(kind: int, colour: Any) -> Any:
-    """Return the static components of a marker."""
+    """Return the Rerun components of a marker that do not change: colour and fill mode."""
     import rerun as rr
 
     rgba = np.array([[colour.r, colour.g, colour.b, colour.a]]) * 255.0
@@ -111,7 +111,7 @@ def _static_components(kind: int, colour: Any) -> Any:
 
 
 def _geometry(marker: Any) -> dict[str, NDArray[np.float32]] | None:
-    """Return the components of a marker's shape; None for other kinds of markers."""
+    """Return the Rerun components of a marker's shape, arrays by name; None for kinds that are not drawn."""
     size = np.array([marker.scale.x, marker.scale.y, marker.scale.z], np.float32)
     if marker.type in (_CUBE, _SPHERE):
         return {"half_sizes": 0.5 * size[None]}

@@ -33,7 +33,7 @@ _ARCHIVE_ERRORS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperStart:
-    """Gripper in the opening snapshot."""
+    """State of a gripper before the first frame."""
 
     name: str
     pose: NDArray[np.float64] | None
@@ -48,7 +48,7 @@ class GripperStart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opening:
-    """Opening of a session, as far as it is shown."""
+    """Contents of a session's opening that a replay shows: frame, anchors, grippers, obstacles, positions."""
 
     frame_id: str
     anchors: tuple[str, ...]
@@ -62,7 +62,7 @@ class Opening:
     """True if an ensemble of uncertain parameters ran beside the cloth."""
 
     def anchored(self, rows: int, columns: int, anchors: Sequence[str] | None = None) -> NDArray[np.intp]:
-        """Return the indices of the anchored particles of a grid; of a mesh (one row), the anchors given by index.
+        """Return the indices of anchored particles, from the names of a grid's edges and corners, or from indices.
 
         `anchors`: `cloth.anchors`; by default that of the snapshot.
         """
@@ -82,7 +82,7 @@ class Opening:
 
 
 def read_opening(scene_yaml: str, state: bytes) -> Opening:
-    """Read scene.yaml and state.npz. Raises SessionError if they are invalid."""
+    """Read scene.yaml and state.npz of a session. Raises SessionError if they are invalid."""
     try:
         return _opening(scene_yaml, state)
     except (ValueError, TypeError, LookupError, OverflowError) as error:

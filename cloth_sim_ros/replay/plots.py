@@ -41,7 +41,7 @@ _NUMBER_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?!
 
 
 def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
-    """Yield entity path and number of each entry in a DiagnosticArray that has a plot."""
+    """Yield the plot path and the number of each entry in a serialized DiagnosticArray that has a plot."""
     message = decode(data, "diagnostic_msgs/msg/DiagnosticArray")
     for status in message.status:
         pairs = ((pair.key, pair.value) for pair in status.values)
@@ -53,7 +53,7 @@ def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
 
 
 def extra_numbers(extras: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Yield entity path and number of the extras that have a plot; blanks join the names of nested ones."""
+    """Yield the plot path and the number of each extra of a frame record that has a plot; nested names are joined."""
     for key, value in extras.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):

@@ -34,7 +34,7 @@ _MIN_LIMIT, FOLLOWED_LIMIT = 0.001, 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PreScan:
-    """Result of a pre-scan."""
+    """Bounds, geometry, colour range and plots of a session, known before it is shown."""
 
     opening: Opening
     rows: int
@@ -59,7 +59,7 @@ class PreScan:
 
 
 def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is_followed: bool = False) -> PreScan:
-    """Scan a sample of a session's clouds; only the first one if `is_followed`.
+    """Scan a sample of a session's clouds for bounds, colour range and plots; one cloud if `is_followed`.
 
     Raises:
         SessionError: if the session has no surface, or its clouds do not fit the surface.
@@ -128,19 +128,19 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
 
 
 def check_fit(cloud: Cloud, particle_count: int) -> None:
-    """Raise SessionError if a cloud does not fit the session's cloth."""
+    """Refuse a cloud whose number of points is not that of the session's particles. Raises SessionError."""
     if len(cloud.xyz) != particle_count:
         raise SessionError(f"a cloud has {len(cloud.xyz)} points, the topology {particle_count}")
 
 
 def round_up(value: float) -> float:
-    """Return the next number of the sequence 1, 2, 5, 10, 20 ... times a power of ten."""
+    """Return the value, rounded up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
 
 
 class _ScanSample:
-    """Targets and plots in a sample of the messages."""
+    """Gripper targets and plots that a sample of a session's messages shows."""
 
     def __init__(self, node: str) -> None:
         self._node = node
@@ -148,7 +148,7 @@ class _ScanSample:
         self.plots: set[str] = set()
 
     def clouds(self, reader: SessionReader, samples: int) -> Iterator[Cloud]:
-        """Yield clouds evenly over the session, and add the other messages of the sample."""
+        """Yield sample clouds evenly over the session, and collect targets and plots of the messages between."""
         windows = _windows(reader, samples)
         first = windows[0][0]
         if first is not None:
@@ -186,7 +186,7 @@ class _ScanSample:
 
 
 def _windows(reader: SessionReader, samples: int) -> list[tuple[int | None, int | None]]:
-    """Return windows of log time [ns] for one cloud each; one infinite window if a file has no index."""
+    """Return windows of log time [ns], from each of which one cloud is sampled; one infinite one without indexes."""
     times = []
     for part in reader.parts:
         if not part.indexed or part.summary is None or not part.summary.chunks:

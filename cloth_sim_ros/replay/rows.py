@@ -16,7 +16,7 @@ SIM_TIME, ROS_TIME, FRAME = "simulated time", "ros time", "frame"
 
 
 class Moment(NamedTuple):
-    """Time of a row on the three timelines."""
+    """Simulated time, ROS time and frame index of a row, on Rerun's three timelines."""
 
     sim_time: float
     """Simulated time [s]."""
@@ -26,7 +26,7 @@ class Moment(NamedTuple):
 
 
 class Rows:
-    """Rows of one entity and archetype.
+    """Rows of one Rerun entity and archetype, collected until they are sent at once.
 
     Args:
         path: entity path.
@@ -54,7 +54,7 @@ class Rows:
             self.size += getattr(value, "nbytes", 32)
 
     def send(self, recording: rr.RecordingStream) -> None:
-        """Send the collected rows."""
+        """Send the collected rows to Rerun."""
         if not self._moments:
             return
         import rerun as rr

@@ -66,7 +66,7 @@ def open_viewer(
     follow: bool = False,
     accuracy: bool = False,
 ) -> None:
-    """Show a session in a viewer's window. Raises SessionError, or ViewerError without a screen."""
+    """Show a session in a Rerun window. Raises SessionError, or ViewerError without a screen."""
     check_screen(
         "use --screenshot out.png for a picture, or --save out.rrd and open that with `rerun` on a machine with a "
         "screen; or a virtual screen: apt-get install xvfb xauth, then xvfb-run cloth_replay"
@@ -90,7 +90,7 @@ def save_picture(
     strain_limit: float | None = None,
     accuracy: bool = False,
 ) -> None:
-    """Save a picture of a session at a simulated time [s]; by default at the end.
+    """Save a picture (PNG) of a session at a simulated time [s]; by default at the end.
 
     Raises:
         SessionError: if the session cannot be shown, with the reason.
@@ -122,7 +122,7 @@ def save_picture(
 def _with_accuracy(
     paths: Sequence[Path], scan: PreScan, is_requested: bool
 ) -> Iterator[tuple[PreScan, MeasuredAccuracy | None]]:
-    """Yield the scan and, if requested, the accuracy, whose files exist until the end of the context."""
+    """Yield the scan and, if requested, the measured accuracy, whose files exist within the context."""
     if not is_requested:
         yield scan, None
         return
@@ -138,7 +138,7 @@ def _scan(reader: SessionReader, strain_limit: float | None, follow: bool) -> Pr
 
 
 def _wait_for_surface(reader: SessionReader) -> None:
-    """Wait for the topology: a new recording has not written its first chunk yet."""
+    """Wait until a session that is being recorded holds its topology."""
     while reader.topology() is None and reader.parts[-1].is_being_written():
         time.sleep(_POLL)
 

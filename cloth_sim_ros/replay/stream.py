@@ -40,7 +40,7 @@ CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
 
 
 class _ShownCloud(NamedTuple):
-    """A cloud with its normals and colours."""
+    """Cloud with its normals, strains or errors, and held particles, ready to be drawn."""
 
     moment: Moment
     xyz: NDArray[np.float32]
@@ -51,7 +51,7 @@ class _ShownCloud(NamedTuple):
 
 
 class ReplayStream:
-    """Shows the messages of one session.
+    """Shows the messages of one session in Rerun, in batches.
 
     Args:
         recording: Rerun stream.
@@ -111,7 +111,7 @@ class ReplayStream:
 
     @property
     def topics(self) -> frozenset[str]:
-        """Topics that are shown."""
+        """Topics whose messages are shown."""
         fixed = (self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout")
         ensemble = [self._ensemble] if self._ensemble else []
         return frozenset({*fixed, *ensemble, *self._wrenches, *self._states})
@@ -127,7 +127,7 @@ class ReplayStream:
         return self._moment.ros_time
 
     def add(self, message: Message) -> None:
-        """Show a message.
+        """Show a recorded message.
 
         Raises:
             SessionError: if its bytes do not fit the topic's type.
@@ -156,7 +156,7 @@ class ReplayStream:
                 self._log_text(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS[entry.level])
 
     def add_record(self, record: FrameRecord, ros_time: int) -> None:
-        """Show the record of a frame at a ROS time [ns].
+        """Show the events and numbers of a frame's record at a ROS time [ns].
 
         Raises:
             SessionError: if one of its events is invalid.
@@ -182,19 +182,19 @@ class ReplayStream:
         self._view.show(moment)
 
     def add_all(self, messages: Iterable[Message]) -> None:
-        """Show all messages."""
+        """Show all messages, and finish."""
         for message in messages:
             self.add(message)
         self.finish()
 
     def flush(self) -> None:
-        """Send the collected rows."""
+        """Send the collected rows to Rerun."""
         for table in self._tables.values():
             table.send(self._recording)
         self._recording.flush()
 
     def finish(self) -> None:
-        """Show the pending cloud, and send the collected rows."""
+        """Show the last pending cloud, and send the collected rows to Rerun."""
         self._log_events()
         if self._pending_cloud is not None:
             self._show(self._pending_cloud)
@@ -215,7 +215,7 @@ class ReplayStream:
             draw_curves(recording)
 
     def _add_gripper_state(self, message: Message) -> None:
-        """Correct the count of the newest grasp from the gripper's state, which the node sends after the frame."""
+        """Correct the number of particles of the newest grasp by the state that the node sends after the frame."""
         name = self._states[message.topic]
         pairs = ((pair.key, pair.value) for pair in decode(message.data, _STATUS).values)
         state_texts = dict(old_keys.current_entries(pairs, old_keys.GRIPPER_STATE))
@@ -235,7 +235,7 @@ class ReplayStream:
         self._events = []
 
     def _update_anchors(self, record: FrameRecord) -> None:
-        """Update the anchors that a frame has changed, after its grasps."""
+        """Update the anchored particles that a frame's events have changed, after its grasps."""
         for event in record.events:
             anchors = event["values"].get("cloth.anchors") if event.get("kind") == "set_parameters" else None
             if anchors is not None:
@@ -351,7 +351,7 @@ _LEVELS = {30: "WARN", 40: "ERROR", 50: "CRITICAL"}
 
 
 def _describe_event(event: Any, count: int | None, *, pinches: bool) -> str:
-    """Describe an event; empty for targets, which are drawn.
+    """Return a recorded event as text; empty for targets, which are drawn.
 
     Args:
         event: the recorded event.

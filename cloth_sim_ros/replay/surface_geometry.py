@@ -30,11 +30,11 @@ _MIN_NORMAL = np.float32(1e-30)
 
 
 class SurfaceGeometry(ABC):
-    """Computes normals and strains of clouds of one surface; see `make_surface_geometry`."""
+    """Computes normals and strains of the clouds of one surface; base of a mesh's and a grid's geometry."""
 
     @abstractmethod
     def compute(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
-        """Write unit normals (n, 3) and strains (n,) at positions xyz (n, 3) [m] into the given arrays."""
+        """Write unit normals (n, 3) and largest strains (n,) of particles at xyz (n, 3) [m] into given arrays."""
 
 
 def make_surface_geometry(
@@ -44,7 +44,7 @@ def make_surface_geometry(
     rows: int,
     columns: int,
 ) -> SurfaceGeometry:
-    """Return the geometry for clouds of rows x columns particles; one row means a mesh.
+    """Return the geometry of clouds: of a grid of rows x columns particles, or of a mesh if one is 1.
 
     Args:
         triangles: particles of each triangle, shape (m, 3).
@@ -59,7 +59,7 @@ def make_surface_geometry(
 
 
 class MeshGeometry(SurfaceGeometry):
-    """Triangulated surface: normals are area-weighted means over triangles."""
+    """Geometry of a triangle mesh: normals are area-weighted means over triangles."""
 
     def __init__(
         self, triangles: NDArray[np.uint32], rest_positions: NDArray[np.float64], start: NDArray[np.float64]
@@ -78,7 +78,7 @@ class MeshGeometry(SurfaceGeometry):
         self._sign = np.float32(_light_sign(self._areas(np.ascontiguousarray(start.T, dtype=np.float32))))
 
     def compute(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
-        """Compute as in `SurfaceGeometry`."""
+        """Write unit normals (n, 3) and largest strains (n,) of particles at xyz (n, 3) [m] into given arrays."""
         x = np.ascontiguousarray(xyz.T)
         total = np.zeros_like(x)
         strain.fill(1.0)
@@ -102,7 +102,7 @@ class MeshGeometry(SurfaceGeometry):
 
 
 class GridGeometry(SurfaceGeometry):
-    """Grid of rows x columns particles: normals from differences along rows and columns."""
+    """Geometry of a grid of rows x columns particles: normals from differences along rows and columns."""
 
     def __init__(
         self, rest_positions: NDArray[np.float64], start: NDArray[np.float64], rows: int, columns: int
@@ -116,7 +116,7 @@ class GridGeometry(SurfaceGeometry):
         self._sign = np.float32(_light_sign(np.cross(along, down, axis=0).reshape(3, -1)))
 
     def compute(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
-        """Compute as in `SurfaceGeometry`."""
+        """Write unit normals (n, 3) and largest strains (n,) of particles at xyz (n, 3) [m] into given arrays."""
         rows, columns = self._shape
         x = np.ascontiguousarray(xyz.T).reshape(3, rows, columns)
         self._normals(x, normals.reshape(rows, columns, 3))
@@ -157,7 +157,7 @@ class GridGeometry(SurfaceGeometry):
 
 
 def _edge_families(grid: NDArray[Any]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Return both ends of each family of edges, as views of an array (..., rows, columns)."""
+    """Return views of both ends of a grid's edges: along rows, columns and both diagonals, (..., rows, columns)."""
     return [
         (grid[..., :, :-1], grid[..., :, 1:]),
         (grid[..., :-1, :], grid[..., 1:, :]),
@@ -167,14 +167,14 @@ def _edge_families(grid: NDArray[Any]) -> list[tuple[NDArray[Any], NDArray[Any]]
 
 
 def _light_sign(areas: NDArray[np.floating]) -> float:
-    """Return -1.0 if the sum of the area vectors (3, m) faces away from the light, else 1.0, also if closed."""
+    """Return the sign that turns area vectors (3, m) to the light: -1.0 if their sum faces away, else 1.0."""
     towards = float(_LIGHT @ areas.sum(axis=1))
     total = float(np.linalg.norm(areas, axis=0).sum())
     return -1.0 if towards < -1e-3 * total else 1.0
 
 
 def _group_equal(values: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Return the order that groups equal entries, the start of each group, and the distinct entries."""
+    """Return the order that groups equal values, the start of each group in it, and the distinct values."""
     order = np.argsort(values, kind="stable")
     used, starts = np.unique(values[order], return_index=True)
     return order, starts, used

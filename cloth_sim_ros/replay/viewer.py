@@ -48,7 +48,7 @@ class ViewerError(Exception):
 
 
 class Viewer(NamedTuple):
-    """A running viewer."""
+    """Process of a running Rerun viewer, and its address."""
 
     process: subprocess.Popen[bytes]
     address: str
@@ -62,7 +62,7 @@ def check_screen(remedy: str) -> None:
 
 
 def executable() -> Path:
-    """Return the viewer's executable, beside its Python package; no activated environment is needed."""
+    """Return the path of the Rerun viewer's executable, beside its Python package."""
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or spec.origin is None:
         raise ViewerError("the Rerun viewer is not installed: pip install 'cloth_sim_ros[replay]'")
@@ -70,7 +70,7 @@ def executable() -> Path:
 
 
 def open_window(*options: str) -> Viewer:
-    """Open a viewer's window, with further options of its command line. The window outlives this process.
+    """Start a Rerun viewer with a window, which outlives this process; `options`: of its command line.
 
     The viewer listens on the local interface only; the SDK's `spawn` would listen on all interfaces.
 
@@ -81,7 +81,7 @@ def open_window(*options: str) -> Viewer:
 
 
 def serve_page(port: int, *, memory: str) -> tuple[Viewer, str]:
-    """Serve the viewer as a page for browsers on this machine; return it with the page's address.
+    """Start a Rerun viewer as a web page on this machine; return it and the page's address.
 
     Args:
         port: port of the page.
@@ -187,7 +187,7 @@ def _wait_until_loaded(client: ViewerClient, log: Path) -> None:
 
 
 def _settled_picture(client: ViewerClient) -> bytes:
-    """Return the picture after it stopped changing: background loading has ended, notices have faded."""
+    """Return a screenshot (PNG) after it stopped changing, because loading has ended and notices have faded."""
     end = time.monotonic() + _VIEWER_TIMEOUT
     before = b""
     while time.monotonic() < end:

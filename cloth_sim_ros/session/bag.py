@@ -72,7 +72,7 @@ def is_bag(path: Path) -> bool:
 
 
 def is_snapshot(topic: str, type_name: str) -> bool:
-    """Return True for the topic of a cloth's snapshots."""
+    """Return True if a topic's name and message type are those of a cloth's snapshots."""
     return topic.endswith(SNAPSHOT_LEAF) and type_name == SNAPSHOT_TYPE
 
 
@@ -140,7 +140,7 @@ def _sqlite_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
 
 
 def _records(file: BinaryIO) -> Iterator[Schema | Channel | RawMessage]:
-    """Yield declarations and messages, in chunks or outside of them."""
+    """Yield the schemas, channels and messages of an MCAP file, in chunks or outside of them."""
     position = len(MAGIC)
     if file.read(position) != MAGIC:
         raise DamagedRecordError("it does not begin as one")

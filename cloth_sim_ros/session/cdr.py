@@ -60,7 +60,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshMessage:
-    """A shape_msgs/Mesh."""
+    """Triangles and vertices of a shape_msgs/Mesh, as views of the message's bytes."""
 
     triangles: NDArray[np.uint32]
     """Particle indices, shape (triangle_count, 3), read-only."""
@@ -69,7 +69,7 @@ class MeshMessage:
 
 
 def decode(data: bytes | memoryview, type_name: str) -> Any:
-    """Decode a standard message.
+    """Decode the CDR bytes of a standard ROS 2 message into an object with its fields.
 
     Args:
         data: CDR bytes.
@@ -217,14 +217,14 @@ class _CdrReader:
             raise SessionError(f"a {self._type_name} holds a text that is not UTF-8: {error}") from error
 
     def skip(self, size: int) -> int:
-        """Skip `size` bytes; return the offset of the first."""
+        """Skip `size` bytes; return the offset of the first one. Raises SessionError beyond the end."""
         start = self._position
         self._check(start + size)
         self._position = start + size
         return start
 
     def array(self, dtype: str, count: int) -> NDArray[Any]:
-        """Read `count` consecutive numbers as a read-only view."""
+        """Read `count` consecutive numbers of a numpy dtype as a read-only view."""
         kind = np.dtype(dtype if self._order == "<" else ">" + dtype[1:])
         if count:
             self._align(kind.itemsize)

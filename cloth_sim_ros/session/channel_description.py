@@ -75,5 +75,5 @@ def describe(type_name: str) -> TypeDescription:
 
 
 def channel_metadata(type_name: str, qos: Qos) -> dict[str, str]:
-    """Return the metadata of a channel in the form of rosbag2's storage."""
+    """Return a channel's quality of service and type hash as MCAP metadata, as rosbag2 writes them."""
     return {"offered_qos_profiles": qos.to_yaml(), "topic_type_hash": describe(type_name).type_hash}

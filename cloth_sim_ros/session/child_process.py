@@ -22,7 +22,7 @@ def module_command(module: str, *arguments: str) -> list[str]:
 
 
 def overrides() -> dict[str, str]:
-    """Return the variables that keep the working directory off the import path of a Python and its children."""
+    """Return environment variables that keep the working directory off the import path of a Python process."""
     changed = {_SAFE: "1"}
     if _PATH in os.environ:
         changed[_PATH] = os.pathsep.join(filter(None, os.environ[_PATH].split(os.pathsep)))
@@ -30,13 +30,13 @@ def overrides() -> dict[str, str]:
 
 
 def child_environment() -> dict[str, str]:
-    """Return this process's environment with `overrides`."""
+    """Return this process's environment variables, changed to keep the working directory off the import path."""
     return {**os.environ, **overrides()}
 
 
 @contextlib.contextmanager
 def safe_imports() -> Iterator[None]:
-    """Set `overrides` in this process while libraries (Dask, loky, multiprocessing) start processes."""
+    """Keep the working directory off the import path of processes that libraries (Dask, loky) start meanwhile."""
     changed = overrides()
     before = {name: os.environ.get(name) for name in changed}
     os.environ.update(changed)

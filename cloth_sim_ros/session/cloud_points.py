@@ -12,7 +12,7 @@ _UINT32, _FLOAT32, _FLOAT64 = 6, 7, 8
 
 
 class CloudPoints:
-    """Bytes of the points of one cloud, written frame after frame.
+    """Buffer of the points of a sensor_msgs/PointCloud2: overwritten with each frame, in the layout of its fields.
 
     Args:
         count: number of points.
@@ -59,7 +59,7 @@ class CloudPoints:
 
     @property
     def size(self) -> int:
-        """Number of bytes."""
+        """Size of all points [bytes]."""
         return self._bytes.nbytes
 
     def write(self, *vectors: NDArray[np.float64] | None) -> memoryview:
@@ -73,6 +73,6 @@ class CloudPoints:
         return self._bytes.data
 
     def write_deviation(self, deviation: NDArray[np.float64]) -> None:
-        """Write the deviation [m] of each point, shape (n,), which the next bytes contain."""
+        """Store the deviation [m] of each point, shape (n,); the next `write` returns it with the vectors."""
         assert self._deviation is not None
         self._deviation[:] = deviation

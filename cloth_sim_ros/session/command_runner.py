@@ -43,7 +43,7 @@ def exit_on_signal(command: str) -> Iterator[None]:
 
 
 def run_command(command: str, module: str, arguments: Sequence[str] | None) -> int:
-    """Import the module of a command and run its `main`.
+    """Import the module of a command and run its `main`; return the exit status.
 
     Args:
         command: name of the command.

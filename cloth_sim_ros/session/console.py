@@ -9,7 +9,7 @@ import sys
 
 
 def escape_unencodable() -> None:
-    """Escape characters that the terminal's encoding lacks; a file name may hold bytes that are not text."""
+    """Make standard output and error escape characters that their encoding lacks, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

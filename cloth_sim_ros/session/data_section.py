@@ -78,7 +78,7 @@ def has_content_index(summary: Summary | None) -> bool:
 
 
 def opening_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]:
-    """Yield metadata and attachments before the first chunk or message. Raises DamagedRecordError."""
+    """Yield locations of metadata and attachments before the first chunk or message. Raises DamagedRecordError."""
     position = data_start
     while (location := locate_record(file, position)) is not None and location.opcode not in (
         Opcode.CHUNK,
@@ -92,7 +92,7 @@ def opening_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]
 
 
 def content_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]:
-    """Yield metadata and attachments of the whole data section, up to its end or to the first damaged record."""
+    """Yield locations of all metadata and attachments, up to the data section's end or its first damaged record."""
     position = data_start
     try:
         while (location := locate_record(file, position)) is not None and location.opcode != Opcode.DATA_END:

@@ -25,7 +25,7 @@ class DecompressionError(ValueError):
 
 
 def decompress(payload: bytes, compression: str, size: int) -> bytes:
-    """Return the content of a chunk.
+    """Return the decompressed content of a chunk, refused if it has another size than announced or is too large.
 
     Args:
         payload: the compressed bytes.

@@ -40,7 +40,7 @@ def export(
     end: float | None = None,
     on_progress: Callable[[], None] = lambda: None,
 ) -> int:
-    """Write the positions of all particles over time; return the number of frames written.
+    """Write the positions of all particles over time as .npz or Parquet; return the number of frames written.
 
     Args:
         reader: the session.

@@ -22,7 +22,7 @@ _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "dig
 
 
 def frame_text(content: dict[str, Any]) -> str:
-    """Encode the members of a frame record, in the order of `content`, like `FrameRecord.to_json`.
+    """Encode the members of a frame record as JSON, in the order of `content`, like `FrameRecord.to_json`.
 
     Faster than `FrameRecord.to_json`: no record is constructed.
 
@@ -57,7 +57,7 @@ class FrameRecord:
     target."""
 
     def to_json(self) -> str:
-        """Encode the record: keys in fixed order, floats in the shortest form with the same bits.
+        """Encode the record as JSON: keys in fixed order, floats in the shortest form with the same bits.
 
         Raises SessionError for NaN, infinities, and objects without a JSON form.
         """
@@ -69,7 +69,7 @@ class FrameRecord:
 
     @classmethod
     def from_json(cls, text: str) -> FrameRecord:
-        """Decode the text of `to_json`. Raises SessionError for other text, with the reason."""
+        """Decode a frame record from JSON. Raises SessionError with the reason if the text is no valid record."""
         try:
             content = plain_json.loads(
                 text, parse_constant=_refuse_constant, parse_float=_parse_finite, object_pairs_hook=_unique_keys

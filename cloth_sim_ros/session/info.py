@@ -22,7 +22,7 @@ _TARGET_EVENTS = ("target", "move", "move_obstacles")
 
 @dataclass(slots=True)
 class TopicSummary:
-    """Message counts of one topic."""
+    """Type of the messages of one topic, their number and size, and the number of missing ones."""
 
     type_name: str
     count: int = 0

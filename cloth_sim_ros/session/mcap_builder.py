@@ -48,7 +48,7 @@ _INDEX_HEADER = struct.Struct("<BQHI")
 
 
 def compressor(compression: str) -> Callable[[bytes], bytes]:
-    """Return the function that compresses one chunk: none (in the file: the empty text), lz4 or zstd.
+    """Return the function that compresses one chunk by a method: none (or empty), lz4 or zstd.
 
     Raises SessionError for an unknown name or a missing package.
     """
@@ -73,7 +73,7 @@ def compressor(compression: str) -> Callable[[bytes], bytes]:
 
 
 def encode_record(record: McapRecord) -> bytes:
-    """Encode one record."""
+    """Return the bytes of one MCAP record: opcode, length and body."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
@@ -212,7 +212,7 @@ class McapBuilder:
         self._chunk = _OpenChunk()
 
     def add_chunk_index(self, packed: PackedChunk, offset: int) -> None:
-        """Register a written chunk that is not the open one, e.g. a copied one."""
+        """Add a chunk that was written at `offset` of the file, e.g. a copied one, to the file's indexes."""
         index = packed.index
         index.chunk_start_offset += offset
         index.message_index_offsets = {key: value + offset for key, value in index.message_index_offsets.items()}
@@ -224,19 +224,19 @@ class McapBuilder:
         self._times = (first, last) if self._times is None else (min(first, self._times[0]), max(last, self._times[1]))
 
     def set_declarations(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-        """Set the declarations of copied chunks."""
+        """Set the schemas and channels, by id, that copied chunks declare, for the file's indexes."""
         self._schemas = {str(key): schema for key, schema in schemas.items()}
         self._channels = dict(channels)
         self._declared_counts = (len(schemas), len(channels))
 
     def encode_metadata(self, record: Metadata, offset: int) -> bytes:
-        """Encode a metadata record for `offset` of the file."""
+        """Encode a metadata record that the caller writes at `offset` of the file."""
         raw = encode_record(record)
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(raw), name=record.name))
         return raw
 
     def encode_closing(self, offset: int) -> bytes:
-        """Encode the end of the file from the end of the data section on, for `offset` of the file.
+        """Encode the end of the file, to be written at `offset`: end of the data section, indexes and footer.
 
         The contents of the open chunk are left out, including its declarations.
         """
@@ -282,7 +282,7 @@ class McapBuilder:
 def pack_chunk_record(
     *, payload: bytes, compression: str, raw_size: int, crc: int, times: tuple[int, int], indexes: dict[int, list[int]]
 ) -> PackedChunk:
-    """Encode a chunk whose contents are already compressed; `indexes` as in the open chunk."""
+    """Encode a chunk from compressed contents, and its index: log time [ns], offset, log time ... by channel."""
     name = compression.encode()
     tail = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(payload))
     body = _CHUNK_HEADER.size - 9 + len(tail) + len(payload)

@@ -56,7 +56,7 @@ class DamagedRecordError(SessionError):
 
 
 class RawMessage(NamedTuple):
-    """A message in its encoded form."""
+    """Message record of an MCAP file, its data not decoded."""
 
     channel: int
     sequence: int
@@ -82,7 +82,7 @@ class RecordLocation:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """The contents of a chunk, decompressed and checked."""
+    """Contents of a chunk, decompressed, with their checksum verified if the file has one."""
 
     location: RecordLocation
     compression: str
@@ -110,7 +110,7 @@ class Summary:
 
 
 def locate_record(file: BinaryIO, offset: int) -> RecordLocation | None:
-    """Return the location of the complete record at `offset`, or None. Raises DamagedRecordError for a wrong opcode."""
+    """Return the record's location at `offset`; None if the file ends within it. Raises DamagedRecordError."""
     size = file.seek(0, 2)
     if offset >= size:
         return None
@@ -187,7 +187,7 @@ def read_body(file: BinaryIO, location: RecordLocation) -> bytes:
 
 
 def _check_size(file: BinaryIO, location: RecordLocation, limit: int) -> None:
-    """Check a record's length before it is read."""
+    """Refuse a record that is cut off, or longer than a limit [bytes]. Raises DamagedRecordError."""
     if location.end > file.seek(0, 2):
         raise DamagedRecordError(f"the record at byte {location.offset} is cut off")
     if location.body_size > limit:
@@ -226,7 +226,7 @@ def read_chunk(file: BinaryIO, location: RecordLocation) -> Chunk:
 
 
 def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawMessage]]:
-    """Yield declarations and messages in order, each with its span in the chunk. Raises DamagedRecordError."""
+    """Yield schemas, channels and messages in order, each with its span in the chunk. Raises DamagedRecordError."""
     raw = chunk.raw
     position = 0
     while position < len(raw):
@@ -375,7 +375,7 @@ def _without_overlaps(records: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
-    """Parse a record. `offset`: for the error message. Raises DamagedRecordError."""
+    """Parse a record's body as an MCAP type. `offset`: for the error message. Raises DamagedRecordError."""
     stream = ReadDataStream(BytesIO(body))
     try:
         return kind.read(stream)  # type: ignore[attr-defined]

@@ -13,7 +13,7 @@ _HEAD = struct.Struct("<HI")
 
 
 def pack(topic: str, data: bytes) -> bytes:
-    """Return the bytes of a message in the pipe."""
+    """Return a message as bytes for the pipe: lengths, topic and contents."""
     name = topic.encode()
     return b"".join((_HEAD.pack(len(name), len(data)), name, data))
 

@@ -65,7 +65,7 @@ class CloudEncoder:
         return len(_LITTLE) + 8 + len(self._constant_part)
 
     def with_normals_of(self, data: bytes, source: bytes) -> bytes:
-        """Return a cloud with the normals of a source, both with the layout of this encoder."""
+        """Return a cloud's bytes with the normals of another cloud's; both have the layout of this encoder."""
         points, start = self._points, self.points_offset
         if min(len(data), len(source)) < start + points.size:
             return data

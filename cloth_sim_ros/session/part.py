@@ -58,7 +58,7 @@ _MAX_PROBED_MESSAGES = 1000
 
 
 class Message(NamedTuple):
-    """A recorded message."""
+    """Recorded message with its topic, type, times and index on the topic."""
 
     topic: str
     type_name: str
@@ -245,7 +245,7 @@ class SessionPart:
                 yield Message(*channel, raw.data, raw.log_time, raw.publish_time, raw.sequence)
 
     def declare(self, record: Schema | Channel) -> None:
-        """Register a declaration from a chunk; for callers that iterate over `chunks`."""
+        """Register a schema or a channel from a chunk; for callers that iterate over `chunks`."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         else:
@@ -296,7 +296,7 @@ class SessionPart:
             raise DamagedSessionError(f"{self.path}: {error}; {consequence}") from error
 
     def _read_channels(self) -> dict[str, str]:
-        """Return message types by topic, from the indexes or from the first chunks."""
+        """Return message types by topic, from the file's indexes or from its first messages."""
         self.rewind()
         for _ in itertools.islice(self.messages(), 0 if self._channels else _MAX_PROBED_MESSAGES):
             pass

@@ -15,7 +15,7 @@ _MAX_DEPTH = 64
 
 
 def loads(text: str, *, max_length: int = MAX_TEXT_LENGTH, **hooks: Any) -> Any:
-    """Parse a text.
+    """Parse untrusted JSON, whose length, depth and number of values are limited.
 
     Args:
         text: JSON.

@@ -117,7 +117,7 @@ class SessionReader:
             yield from part.messages(topics=selected_topics, start=start, end=end)
 
     def frames(self, *, start: int | None = None, end: int | None = None) -> Iterator[FrameRecord]:
-        """Yield the frame records."""
+        """Yield the frame records with log times in [start, end) [ns]."""
         for message in self.messages([f"{self.node}/frame"], start=start, end=end):
             yield read_frame(message)
 

@@ -238,7 +238,7 @@ class Recorder:
         return status
 
     def _fail_on_backlog(self, queued_bytes: int) -> None:
-        """End the recording after the queued messages: a shorter recording is better than one with gaps."""
+        """End the recording as failed after the queued messages, because the queue has reached its limit."""
         backlog = f"{queued_bytes >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB"
         self._fail_with(f"{backlog}: the disk of {self._folder} is stuck or too slow")
 
@@ -359,7 +359,7 @@ class Recorder:
                 self._popped_bytes += _memory_bytes(item)
 
     def _end_notes(self, dropped: int) -> dict[str, str]:
-        """Return the notes of the end record. `dropped`: count since the beginning of the recording."""
+        """Return the end record's note on messages dropped in the current file. `dropped`: number in all files."""
         return {"dropped": str(dropped - self._dropped_before)}
 
     def _update_status(self, writer: SessionWriter, state: RecorderState, error: str = "") -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """Result of a recovery."""
+    """Result of the recovery of a session: new file, number of messages, and remaining deficits."""
 
     path: Path
     """The new file."""

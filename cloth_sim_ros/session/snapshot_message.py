@@ -41,7 +41,7 @@ _MAX_DIGITS = 19
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagSnapshot:
-    """Content of a snapshot message."""
+    """Snapshot of a cloth in a bag, with its node's run and the number of the next frame record."""
 
     session: str
     """Identifier of the node's run."""
@@ -51,7 +51,7 @@ class BagSnapshot:
 
 
 def snapshot_bytes(snapshot: SessionSnapshot, *, session: str, sequence: int, stamp: int) -> bytes:
-    """Encode a snapshot as CDR bytes.
+    """Encode a snapshot as a std_msgs/UInt8MultiArray, in CDR bytes.
 
     Args:
         snapshot: parameters and state before a frame.
@@ -65,7 +65,7 @@ def snapshot_bytes(snapshot: SessionSnapshot, *, session: str, sequence: int, st
 
 
 def read_snapshot(data: bytes) -> BagSnapshot:
-    """Decode the bytes of `snapshot_bytes`. Raises SessionError for others, and for damaged ones."""
+    """Decode a snapshot from the bytes of its message. Raises SessionError for other or damaged bytes."""
     if len(data) < _HEADER.size:
         raise SessionError(f"a snapshot of {len(data)} bytes is cut off")
     header, dimensions, offset, size = _HEADER.unpack_from(data)

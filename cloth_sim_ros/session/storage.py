@@ -21,7 +21,7 @@ _MIN_LEFTOVER_AGE = 3600.0
 
 
 class AppendFile:
-    """A new file in `folder`, at first with a hidden name.
+    """New file in `folder` that one process appends to and locks, at first with a hidden name.
 
     `publish` gives it its final name. A session is published with a complete opening. Therefore a visible file always
     has a readable opening, whenever the process was killed. The writer holds an exclusive advisory lock while the file

@@ -44,7 +44,7 @@ class SessionSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriterOptions:
-    """Options of the file format."""
+    """Options of a session file: compression, chunk size, synchronisation and minimum free space."""
 
     compression: Compression = "lz4"
     chunk_bytes: int = 1 << 20
@@ -135,7 +135,7 @@ class SessionWriter:
         return 0.0 if times is None else (times[1] - times[0]) * 1e-9
 
     def declare(self, topic: str, type_name: str, qos: Qos | None = None) -> None:
-        """Declare a channel, once per topic. Raises SessionError for a type that is not standard."""
+        """Declare the channel of a topic, once. Raises SessionError for a message type that is not standard."""
         description = describe(type_name)
         self._channels[topic] = self._builder.add_channel(
             topic=topic,

@@ -28,7 +28,7 @@ _REACH = 3.0
 
 @attrs.frozen(kw_only=True)
 class ContactRecovery:
-    """Contacts of a state with a reduced thickness."""
+    """Summary of the contacts with a reduced thickness: counterparts, particles, and time to the full thickness."""
 
     #: Names of the obstacles and pads in contact; "" is the cloth itself.
     names: tuple[str, ...]
@@ -99,9 +99,7 @@ def reduce_contacts(
 
 
 def _is_within_reach(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return a mask, shape (n,), of the particles within `_REACH` edge lengths of given ones, at positions x [m], (3,
-    n).
-    """
+    """Return a mask (n,) of particles within `_REACH` edge lengths of given ones, at positions x [m], (3, n)."""
     surface = force.faces or force.surface
     reach = 0.0 if surface is None else _REACH * surface.max_edge
     is_near = np.zeros(x.shape[1], dtype=bool)
@@ -122,7 +120,7 @@ def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
 
 
 def end_recovery(plan: Plan, state: State, t: float) -> None:
-    """Store the thickness at the end of a frame, at time t [s], in the state."""
+    """Store the contact thickness that the recovery reached in a frame that ended at time t [s], in the state."""
     if plan.contact is None or (thickness := plan.contact.force.controls.recovery.target) is None:
         return
     force = plan.contact.force
@@ -165,7 +163,7 @@ def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
 
 
 def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene: Scene) -> NDArray[np.int64]:
-    """Return the indices of particles that another scene presses less.
+    """Return the indices of particles that lose a contact, or whose grip gets softer, by a change of scene.
 
     Such a particle touches an obstacle that the other scene lacks or reshapes, or is held by a softer gripper there.
     """
@@ -189,7 +187,7 @@ def _names(force: Contact) -> list[str]:
 
 
 def _contact_shape(scene: Scene, name: str) -> object:
-    """Return the parameters of an obstacle that decide about its contact; None if the scene lacks it."""
+    """Return the parameters of an obstacle that its contact depends on; None if the scene lacks the obstacle."""
     if name not in scene.obstacle_names:
         return None
     return attrs.evolve(scene.described[name], frame="", friction=(0.0, 0.0))

@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.state.state import State
 @with_old_names(rubbed="friction_work")
 @attrs.frozen(kw_only=True)
 class EnergyReport:
-    """Energies since the watch began [J]."""
+    """Energy balance since the watch began [J]: energy, works, dissipation and residual."""
 
     #: Kinetic plus potential energy now.
     total: float
@@ -92,7 +92,7 @@ class EnergyWatch:
         return self._sums
 
     def save(self) -> SavedBalance:
-        """Return the sums so far, for `restore`."""
+        """Return the energies before the frame and the sums so far, for `restore`."""
         return self._before, self._sums
 
     def restore(self, saved: SavedBalance) -> None:

@@ -29,7 +29,7 @@ class EnsembleError(ValueError):
 
 @attrs.frozen(kw_only=True, eq=False)
 class EnsembleFrame:
-    """Mean and deviation of the positions at the end of a frame."""
+    """Mean and deviation of the members' positions at the end of a frame."""
 
     #: Index of the frame that the members have reached.
     index: int
@@ -42,19 +42,19 @@ class EnsembleFrame:
 
     @property
     def largest(self) -> float:
-        """Largest deviation of a particle [m]."""
+        """Largest deviation of a particle from the mean motion [m]."""
         return float(self.deviation.max())
 
     @property
     def root_mean_square(self) -> float:
-        """Root mean square of the particles' deviations [m]."""
+        """Root mean square of the particles' deviations from the mean motion [m]."""
         squares = np.square(self.deviation).tolist()
         return math.sqrt(ordered_sum(squares) / len(squares))
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class EnsembleSnapshot:
-    """Result of `Ensemble.snapshot` and argument of `Ensemble.restore`; it can be pickled."""
+    """Full contents of all members between two frames, for `Ensemble.restore`; it can be pickled."""
 
     members: tuple[Snapshot, ...]
     #: True if the members have their own parameters: after the first frame.
@@ -141,7 +141,7 @@ class Ensemble:
         return self.statistics()
 
     def statistics(self) -> EnsembleFrame:
-        """Return mean and deviation of the present positions."""
+        """Return mean and deviation of the members' present positions."""
         states = [member.state for member in self._members]
         # About the first member, so that particles that all members share have no deviation.
         origin, size = states[0].x, float(len(states))
@@ -157,7 +157,7 @@ class Ensemble:
         )
 
     def snapshot(self) -> EnsembleSnapshot:
-        """Return everything that later frames read, in microseconds a member."""
+        """Return the full contents of all members, in microseconds a member, for `restore`."""
         return EnsembleSnapshot(members=tuple(member.snapshot() for member in self._members), varied=self._is_varied)
 
     def restore(self, snapshot: EnsembleSnapshot) -> None:

@@ -20,7 +20,7 @@ _LEGACY_NUMERICS = 1
 
 
 def environment() -> dict[str, str]:
-    """Return versions and machine of this process, under their names in a session's metadata.
+    """Return versions and machine of this process as texts, by their names in a session's metadata.
 
     Bits depend on `numerics` and `source` alone; the other entries are informative.
     """

@@ -142,7 +142,7 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
 
 
 def _check_poses(event: MoveObstacles, scene: Scene) -> None:
-    """Refuse poses of several obstacles; one of them is checked alone only to name its fault."""
+    """Refuse an event that moves several obstacles, if a name or a pose is invalid, or a name is repeated."""
     names, poses = event.obstacles, event.poses
     known = set(scene.obstacle_names)
     if not known.issuperset(names):
@@ -245,7 +245,7 @@ def check_new_scene(scene: Scene, new_scene: Scene, state: State) -> None:
 
 
 def _check_present_pads(scene: Scene, state: State) -> None:
-    """Refuse a scene if placed pads would be too close to the cloth or intersect it."""
+    """Refuse a scene in which the pads at their present poses would be too close to the cloth or intersect it."""
     if not scene.pinching or "gripper.pose" not in state.memory:
         return
     from cloth_sim_ros.simulation.bodies.grippers import Grippers

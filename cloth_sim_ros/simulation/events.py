@@ -74,7 +74,7 @@ class Grasp:
 
 @attrs.frozen
 class SetParameters:
-    """Sets scene parameters: flat names and values."""
+    """Sets scene parameters, values by full name such as `air.drag`."""
 
     values: dict[str, Any]
 
@@ -129,7 +129,7 @@ _BEFORE_OTHERS = (Target, Move, MoveObstacles, Grasp)
 
 
 def ordered(events: list[Event]) -> list[Event]:
-    """Return events in the order in which a frame applies them.
+    """Return events in the order in which a frame applies them; only a body's newest `Target` or `Move` is kept.
 
     First the newest target of each gripper, then moves of several obstacles. The newest target of each obstacle is
     next, then grasps, then other events. Events of one kind keep their order of arrival.
@@ -162,7 +162,7 @@ def to_dict(event: Event) -> dict[str, Any]:
 
 
 def from_dict(data: dict[str, Any]) -> Event:
-    """Return the event of a dict that `to_dict` made.
+    """Return the event that a dict of plain values describes, as `to_dict` returns it.
 
     Raises:
         ValueError: for an unknown kind or fields that do not fit it.

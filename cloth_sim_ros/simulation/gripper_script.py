@@ -36,7 +36,7 @@ class ScriptError(ValueError):
 
 @attrs.frozen(kw_only=True)
 class Waypoint:
-    """Pose at which the gripper rests at a time."""
+    """Pose of the gripper at a time of a script."""
 
     #: Time since the script's start [s].
     time: float
@@ -48,7 +48,7 @@ class Waypoint:
 
 @attrs.frozen(kw_only=True)
 class TimedGrasp:
-    """Time at which the gripper closes (True) or opens."""
+    """Closing (True) or opening of the gripper at a time of a script."""
 
     time: float
     closed: bool
@@ -203,9 +203,7 @@ class GripperScript:
         return max([self.waypoints[-1].time, *(grasp.time for grasp in self.grasps)])
 
     def rest_end(self, time: float) -> float:
-        """Return the time [s] until which the gripper keeps its pose of a time [s]; that time itself while the gripper
-        moves.
-        """
+        """Return the time [s] until which the gripper keeps its pose of `time` [s]; `time` itself while it moves."""
         waypoints, k = self.waypoints, self._waypoint_index(time)
         if k < 0:
             return time
@@ -304,7 +302,7 @@ def _read_numbers(value: Any, count: int, name: str) -> Vector:
 
 
 def _interpolated_orientation(start: Vector, end: Vector, fraction: float) -> Vector:
-    """Return the orientation at a fraction of the shortest rotation from one to another."""
+    """Return the quaternion at a fraction of the shortest rotation from `start` to `end`."""
     if start == end:
         return start
     return tuple(rotated_by(start, [fraction * angle for angle in _rotation_between(start, end)]))

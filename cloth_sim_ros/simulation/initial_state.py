@@ -66,7 +66,7 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
 def apply_grasp(
     event: Grasp, state: State, scene: Scene, model: Model, grippers: Grippers, pinching: ParallelGrippers | None
 ) -> GraspResult:
-    """Close or open a gripper. If its grasped particles change, the cloth wakes."""
+    """Close or open a gripper by an event, wake the cloth if its grasped particles change, and return the result."""
     index = grippers.names.index(event.gripper)
     grasped_before = grippers.grasped_particles(index).size
     is_pinching = pinching is not None and event.gripper in pinching.names
@@ -87,7 +87,7 @@ def apply_grasp(
 
 
 def _move_pads(event: Grasp, grippers: Grippers, *, again: bool) -> GraspResult:
-    """Start to close or open the pads of a gripper. Only pads that open to a given distance have a pending result."""
+    """Start to close or open pads; only closing, or opening to a given distance, has a result that is pending."""
     if event.closed:
         return grippers.pinch(event.gripper, again=again)
     result = grippers.open(event.gripper)

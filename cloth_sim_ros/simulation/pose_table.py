@@ -29,7 +29,7 @@ class PoseTableError(ValueError):
 
 @attrs.frozen(kw_only=True)
 class PoseTable:
-    """Poses of a gripper over time."""
+    """Poses of a gripper over time, as a table holds them."""
 
     #: Time of the first pose by the clock of the table [s].
     start: float
@@ -44,7 +44,7 @@ class PoseTable:
 
 
 def read(path: str | Path) -> PoseTable:
-    """Read a table of poses.
+    """Read the poses of a gripper over time from a CSV file.
 
     The first line names the columns. They are `time` [s], or `sec` and `nanosec`, and the position `x`, `y`, `z` [m].
     A unit quaternion `qx`, `qy`, `qz`, `qw`, `closed` (0 or 1) and `frame_id` are optional. A table without that line

@@ -51,7 +51,7 @@ class ScriptEvents:
 def pose_scripts(
     names: Sequence[str], times: ArrayLike, poses: ArrayLike | Mapping[str, ArrayLike], closed: Any
 ) -> list[GripperScript]:
-    """Return the scripts of `Simulation.play`.
+    """Return a script for each gripper from arrays of times and poses, the arguments of `Simulation.play`.
 
     Args:
         names: names of the scene's grippers.
@@ -76,7 +76,7 @@ def pose_scripts(
 
 
 def frame_events(scripts: Sequence[GripperScript], period: float) -> Iterator[list[Event]]:
-    """Yield the events of each frame that plays scripts.
+    """Yield the events of each frame in which scripts move their grippers.
 
     The first frame moves the grippers to their first poses. The scripts begin at its end.
     """

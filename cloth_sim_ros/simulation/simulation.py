@@ -98,7 +98,7 @@ class Simulation(ExclusiveAccess):
 
     @property
     def scene(self) -> Scene:
-        """The configuration in force."""
+        """Scene with the parameters in force."""
         return self._scene
 
     @property
@@ -113,7 +113,7 @@ class Simulation(ExclusiveAccess):
 
     @property
     def paused(self) -> bool:
-        """True while time stands still."""
+        """True while time stands still, after the event `Pause`."""
         return bool(self.state.memory["paused"][0])
 
     @property
@@ -158,8 +158,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def gaps(self) -> Array | None:
-        """Return the number of touching particles and the smallest gap [m] of each obstacle and then each pad, shape
-        (count, 2).
+        """Return number of touching particles and smallest gap [m] by obstacle, then pad, (count, 2); None without any.
 
         None without obstacles and pads.
         """
@@ -168,7 +167,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def spectral_bounds(self, scene: Scene) -> tuple[float, float]:
-        """Return bounds of the squared highest frequency [1/s^2] and the damping rate [1/s] for another scene."""
+        """Return upper bounds of squared angular frequency [1/s^2] and damping rate [1/s] for another scene."""
         return self._plan_cache.spectral_bounds(scene, self.state.x)
 
     @between_frames
@@ -241,9 +240,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def snapshot(self) -> Snapshot:
-        """Return everything that later frames read, in microseconds. After a restore the same events give the same
-        bits.
-        """
+        """Return the full content, in microseconds. After a restore the same events give the same bits."""
         return self._snapshot()
 
     def _snapshot(self) -> Snapshot:

@@ -42,7 +42,7 @@ _MAX_FRAMES = 2.0**53
 
 
 class SleepRule:
-    """Criterion and duration of sleep for one simulation. Everything that it stores is in the state.
+    """Criterion and duration of sleep for one simulation; it keeps its observations in the state.
 
     Args:
         plan: equations of motion.
@@ -57,7 +57,7 @@ class SleepRule:
         self._watch_frames = max(2, math.ceil(CONSTANTS.sleep_quiet_time / period))
 
     def update(self, state: State, t: float) -> bool:
-        """Update with a frame that moved and ended at time t [s]; put the sheet to sleep if the criterion permits.
+        """Observe a frame that moved and ended at time t [s]; put the sheet to sleep if it was at rest long enough.
 
         Returns:
             True if the sheet fell asleep.
@@ -93,7 +93,7 @@ class SleepRule:
         return is_asleep(state)
 
     def _observed_motion(self, state: State) -> tuple[float, Array]:
-        """Return the motion of the observed second.
+        """Return the largest displacement in the observed second [m] and the velocity change in a frame [m/s].
 
         Returns:
             Its largest displacement, or twice that in one of its halves [m]; and the velocity change in a frame [m/s].
@@ -110,7 +110,7 @@ class SleepRule:
         return max(rates) * (CONSTANTS.sleep_quiet_time / self._period), velocity_change / (0.5 * frames)
 
     def _max_sleep_frames(self, displacement: float, budget: float) -> int:
-        """Return the largest number of frames of sleep.
+        """Return the number of frames of sleep after which the omitted motion may reach a budget [m].
 
         Args:
             displacement: largest one in a second [m].
@@ -156,7 +156,7 @@ class SleepRule:
         return True
 
     def frame(self, integrator: str) -> Advance:
-        """Return the summary of a frame that was slept through."""
+        """Return the summary of a frame that a sleeping sheet does not compute."""
         error = self._max_drift * self._period / CONSTANTS.sleep_quiet_time
         reason = f"asleep: at rest within the tolerance {self._tolerance:g} m until something touches the cloth"
         return Advance(0, 0, 0.0, math.inf, integrator=integrator, limited_by="rest", error=error, reason=reason)
@@ -183,7 +183,7 @@ def sleeps_until(state: State) -> float:
 
 
 def wake(state: State) -> None:
-    """Wake the sheet, if it sleeps, and reset the watch for rest."""
+    """Wake the sheet, if it sleeps, and restart the observation of rest."""
     if is_asleep(state):
         _resume_motion(state)
         reset_step_control(state)
@@ -192,7 +192,7 @@ def wake(state: State) -> None:
 
 
 def _end_watch(state: State) -> None:
-    """Remove the positions of the observed second."""
+    """End the observation of rest: remove its positions from the state."""
     for key in (FROM, MIDDLE):
         state.memory.pop(key, None)
 

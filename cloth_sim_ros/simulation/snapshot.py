@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Without slots: then attrs sets a frozen class's members in half the time.
 @attrs.frozen(kw_only=True, eq=False, slots=False)
 class Snapshot:
-    """Result of `Simulation.snapshot` and argument of `Simulation.restore`; it can be pickled.
+    """Full content of a simulation between two frames, for `Simulation.restore`; it can be pickled.
 
     Do not change it: other snapshots and later frames share its arrays.
     """

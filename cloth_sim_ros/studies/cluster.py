@@ -45,7 +45,7 @@ def core_count() -> int:
 
 @contextlib.contextmanager
 def local_scheduler(workers: int | None, on_message: Callable[[str], None]) -> Iterator[SchedulerAddress]:
-    """Start a scheduler and one worker process per core on this machine.
+    """Start a scheduler and worker processes, by default one per core, on this machine; yield its address.
 
     Connections are encrypted and need a certificate that exists in these processes alone. Without it, every account of
     the machine could run code through the scheduler's port.
@@ -94,7 +94,7 @@ def local_scheduler(workers: int | None, on_message: Callable[[str], None]) -> I
 
 
 def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
-    """Connect to a scheduler, which may still be starting.
+    """Connect to a Dask scheduler, which may still be starting; return the client.
 
     Args:
         scheduler: its address.
@@ -128,7 +128,7 @@ def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
 
 
 def check_workers(client: Client, folder: Path, version: str) -> None:
-    """Check that every worker can use the study's folder and runs the same code.
+    """Refuse a cluster in which a worker can't use the study's folder or runs other code.
 
     Args:
         client: connection to the cluster.
@@ -148,7 +148,7 @@ def check_workers(client: Client, folder: Path, version: str) -> None:
 
 
 def probe_folder(folder: str) -> tuple[str, str]:
-    """Return the problem that a worker has with the folder (empty if none), and its code's version."""
+    """Return a worker's problem with the study's folder (empty if none), and the version of its code."""
     import secrets
     import socket
 
@@ -168,7 +168,7 @@ def probe_folder(folder: str) -> tuple[str, str]:
 
 
 def local_version() -> str:
-    """Return the version of this process's code, in the form of `probe_folder`."""
+    """Return the version of this process's code as text, to be compared with that of workers."""
     from cloth_sim_ros.simulation.environment import environment
 
     environment_record = environment()

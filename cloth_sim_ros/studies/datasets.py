@@ -24,7 +24,7 @@ TrajectorySource = Callable[[], Iterator[Trajectory]]
 
 
 def to_zarr(folder: Path, out: Path) -> int:
-    """Write a zarr v3 group and return exit status 0."""
+    """Export the successful runs of a study as a zarr v3 group; return exit status 0."""
     from cloth_sim_ros.studies import zarr_export
 
     def write(study_folder: StudyFolder, target: Path, runs: TrajectorySource, count: int) -> None:
@@ -34,7 +34,7 @@ def to_zarr(folder: Path, out: Path) -> int:
 
 
 def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
-    """Write a LeRobotDataset v3.0 and return exit status 0."""
+    """Export the successful runs of a study as a LeRobotDataset v3.0; return exit status 0."""
     from cloth_sim_ros.studies import lerobot_export
 
     def write(_study_folder: StudyFolder, target: Path, runs: TrajectorySource, _count: int) -> None:
@@ -44,7 +44,7 @@ def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
 
 
 def to_mcap(folder: Path, out: Path) -> int:
-    """Write sessions with clouds and return exit status 0."""
+    """Export the successful runs of a study as sessions with clouds; return exit status 0."""
     study_folder = StudyFolder(folder)
 
     def write(_study_folder: StudyFolder, target: Path, _runs: TrajectorySource, count: int) -> None:

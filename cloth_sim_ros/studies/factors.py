@@ -30,7 +30,7 @@ class Factor:
 
     @property
     def count(self) -> int | None:
-        """Number of values; None if they are continuous or unbounded."""
+        """Number of possible values; None if they are continuous or unbounded."""
         if self.kind == "choices":
             return len(self.values)
         if self.kind == "steps":
@@ -42,7 +42,7 @@ class Factor:
         return KINDS[self.kind][1](self.values, min(max(quantile, 0.0), 1.0))
 
     def at(self, index: int) -> Any:
-        """Return value number `index`, from 0 to `count` - 1."""
+        """Return the possible value at an index from 0 to `count` - 1."""
         if self.kind == "choices":
             return self.values[index]
         if self.kind == "integers":
@@ -50,7 +50,7 @@ class Factor:
         return _steps_at(self.values, index)
 
     def ends(self) -> list[Any]:
-        """Return the extreme values: all choices, or both ends of a range; none of a normal distribution."""
+        """Return the values to check: all choices, or both ends of a range; none of a normal distribution."""
         if self.kind == "choices":
             return list(self.values)
         return [] if self.kind == "normal" else [self.value(0.0), self.value(1.0)]
@@ -104,7 +104,7 @@ KINDS: dict[str, tuple[str, Callable[[tuple[Any, ...], float], Any]]] = {
 
 
 def read(name: str, content: Any) -> Factor:
-    """Return the factor of one entry of `vary`: a list, or a distribution like ``{uniform: [0.1, 0.3]}``.
+    """Return the factor of one entry of a study's `vary`: a list, or a distribution like ``{uniform: [0.1, 0.3]}``.
 
     Raises:
         StudyError: if the entry is invalid; the text names entry and problem.

@@ -56,7 +56,7 @@ _ROW_TYPES: dict[str, type | tuple[type, ...]] = {
 
 
 class StudyFolder:
-    """Folder of one study.
+    """Folder of one study: its description, factor values, sessions and a row of results for each run.
 
     Args:
         path: the folder.
@@ -67,24 +67,24 @@ class StudyFolder:
 
     @property
     def study_file(self) -> Path:
-        """File of the checked study."""
+        """Path of the file with the checked study."""
         return self.path / "study.json"
 
     @property
     def index_file(self) -> Path:
-        """File of the index: a table with a row for each run."""
+        """Path of the index: a Parquet table with a row for each run."""
         return self.path / "index.parquet"
 
     def session_file(self, run: int) -> Path:
-        """Return the session file of a run."""
+        """Return the path of a run's session."""
         return self.path / "runs" / f"{run // _FILES_PER_FOLDER:03d}" / f"run_{run:07d}.mcap"
 
     def row_file(self, run: int) -> Path:
-        """Return the row file of a run."""
+        """Return the path of the JSON file with a run's row of results."""
         return self.path / "rows" / f"{run // _FILES_PER_FOLDER:03d}" / f"{run:07d}.json"
 
     def create(self, study: Study, samples: Sequence[Sequence[Any]], text: str) -> None:
-        """Write a study's files, study.json last; a folder with the same study is unchanged.
+        """Write the files of a new study into the folder; a folder with the same study stays unchanged.
 
         Args:
             study: the study.
@@ -130,7 +130,7 @@ class StudyFolder:
         return study.to_json({name: _content_name(data) for name, data in study.files.items()})
 
     def read(self) -> Study:
-        """Return the study.
+        """Return the study that the folder holds.
 
         Raises:
             StudyError: if the folder holds no readable study.
@@ -167,7 +167,7 @@ class StudyFolder:
         return [tuple(tuple(v) if isinstance(v, list) else v for v in values) for values in rows]
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield the rows of all finished runs, in their order; unreadable rows are skipped."""
+        """Yield the rows of results of all finished runs, in their order; unreadable rows are skipped."""
         for path in sorted((self.path / "rows").glob("*/*.json")):
             row = read_row(path)
             if row is not None:
@@ -188,7 +188,7 @@ class StudyFolder:
         return content
 
     def create_run_folder(self, run: int) -> Path:
-        """Create and return a folder for one attempt of a run, which no other process uses."""
+        """Create and return a temporary folder for one attempt of a run, which no other process uses."""
         run_folder = self.path / "runs" / f"{_PARTIAL_PREFIX}{run:07d}-{secrets.token_hex(6)}"
         run_folder.mkdir(parents=True)
         return run_folder
@@ -208,12 +208,12 @@ class StudyFolder:
             raise
 
     def write_row(self, row: Mapping[str, Any]) -> None:
-        """Write a run's row, which marks the run as finished."""
+        """Write a run's row of results, which marks the run as finished."""
         self.write(self.row_file(int(row["run"])), json.dumps(row, allow_nan=False).encode())
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Lock the folder for one client.
+        """Lock the folder, so that only one process runs the study at a time.
 
         Raises:
             StudyError: if another client has the lock.
@@ -244,7 +244,7 @@ class StudyFolder:
 
 
 def read_row(path: Path) -> dict[str, Any] | None:
-    """Return a run's row; None if it is missing or incomplete."""
+    """Return a run's row of results from its JSON file; None if it is missing or incomplete."""
     try:
         run, row = int(path.stem), plain_json.loads(input_file.read_text(path))
     except (OSError, ValueError):

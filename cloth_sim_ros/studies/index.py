@@ -37,7 +37,7 @@ _MAX_BYTES, _MAX_CELLS = 256 << 20, 20_000_000
 
 
 def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
-    """Return a table of rows, in the order of the runs."""
+    """Return the rows of finished runs as an Arrow table, in the order of the runs."""
     import pyarrow as pa
 
     ordered = sorted(rows, key=lambda row: row["run"])
@@ -52,7 +52,7 @@ def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
 
 
 def write(study_folder: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
-    """Write the index atomically.
+    """Write the rows of finished runs as the study's index, atomically.
 
     Raises:
         FolderError: if the folder can't be written.
@@ -68,7 +68,7 @@ def write(study_folder: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
 
 
 def read(study_folder: StudyFolder) -> pa.Table:
-    """Return the index; if the file is missing, for instance after a crash, it is rebuilt from the rows.
+    """Return a study's index; a missing one, for instance after a crash, is rebuilt from the rows of the runs.
 
     Raises:
         StudyError: if the folder holds no study, or the index is unreadable.
@@ -117,7 +117,7 @@ def _check_size(folder: StudyFolder) -> None:
 
 
 def _check_columns(table: pa.Table) -> pa.Table:
-    """Return the table after a check of its columns.
+    """Return the index unchanged; refuse it if a column is missing or has another type.
 
     Raises:
         ValueError: if a column is missing or has another type.

@@ -37,7 +37,7 @@ _DEFAULTS = {"timestamp": "float32", **dict.fromkeys(_INDICES, "int64")}
 
 
 def write(path: Path, runs: Iterator[Trajectory], *, task: str, video: bool) -> None:
-    """Write runs as a dataset.
+    """Write the trajectories of runs as the episodes of a LeRobot dataset.
 
     Args:
         path: folder to create.
@@ -62,7 +62,7 @@ def write(path: Path, runs: Iterator[Trajectory], *, task: str, video: bool) -> 
 
 
 def features_of(run: Trajectory) -> dict[str, dict[str, Any]]:
-    """Return the features of a run's rows in the form of info.json."""
+    """Return data type, shape and component names of a run's features, in the form of LeRobot's info.json."""
     grippers, particles = run.grippers, run.positions.shape[1]
     poses = [f"{name}.{axis}" for name in grippers for axis in (*_POSE, "closed")]
     actions = [f"{name}.{axis}" for name in grippers for axis in (*_POSE, "close")]
@@ -84,7 +84,7 @@ def features_of(run: Trajectory) -> dict[str, dict[str, Any]]:
 
 
 def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
-    """Return the columns of an episode: observations at the beginning of each frame, shape (T, width) each."""
+    """Return a run's observations and actions, as they are at the beginning of each frame, shape (T, width) each."""
     count = len(run.actions)
     # The observed wrench is that of the previous frame; the first frame has none.
     wrenches = np.concatenate([np.zeros_like(run.wrenches[:1]), run.wrenches[:-1]])
@@ -100,7 +100,7 @@ def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
 
 
 class _Dataset:
-    """Dataset to which episodes are appended."""
+    """LeRobot dataset to which runs are appended as episodes."""
 
     def __init__(self, path: Path, run: Trajectory, *, task: str, video: bool) -> None:
         if not float(run.rate).is_integer():
@@ -116,7 +116,7 @@ class _Dataset:
         self._frames = 0
 
     def add(self, run: Trajectory) -> None:
-        """Write a run as the next episode."""
+        """Append a run as the next episode."""
         if run.rate != self._fps:
             remedy = "a dataset has one for all episodes: remove rate from vary, or export with --mcap"
             raise StudyError(f"rate of run {run.run} is {run.rate} Hz, of the first one {self._fps}; {remedy}")
@@ -151,13 +151,13 @@ class _Dataset:
         self._episodes.append(entry | flat | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
 
     def close(self) -> None:
-        """Close the current data file."""
+        """Close the current file of rows."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
     def finish(self) -> None:
-        """Write the metadata of the dataset."""
+        """Write the dataset's metadata: episodes, tasks, features and statistics."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -209,7 +209,7 @@ class _Dataset:
         return self._file // _CHUNK_FILES, self._file % _CHUNK_FILES
 
     def _write_video(self, run: Trajectory, episode: int, stats: dict[str, Any]) -> dict[str, Any]:
-        """Render an episode into its own file and return the file's location for the episodes table."""
+        """Render a run into its own video file and return the file's location for the table of episodes."""
         from cloth_sim_ros.studies.video import render
 
         chunk, file = episode // _CHUNK_FILES, episode % _CHUNK_FILES

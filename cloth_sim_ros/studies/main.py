@@ -22,7 +22,7 @@ _COMMANDS = ("check", "view", "export")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit status."""
+    """Run `cloth_batch` with its subcommands run, check, view and export; return its exit status."""
     escape_unencodable()
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = words[0] if words and words[0] in _COMMANDS else "run"
@@ -118,7 +118,7 @@ def _export_parser() -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run a study."""
+    """Run the study that the options name; return the exit status."""
     from cloth_sim_ros.studies.study_session import run_study
 
     if options.retry_failed and not options.resume:
@@ -135,7 +135,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    """Check a study."""
+    """Check a study, and print its size and estimated cost; return exit status 0."""
     from cloth_sim_ros.studies import study_file
     from cloth_sim_ros.studies.cluster import core_count
     from cloth_sim_ros.studies.study_estimate import sample_and_estimate
@@ -150,7 +150,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _view(options: argparse.Namespace) -> int:
-    """Show a study."""
+    """Show the results of a study as the options demand; return the exit status."""
     from cloth_sim_ros.studies.view import view
 
     if options.plot is not None and not (options.outcome and options.over):
@@ -169,7 +169,7 @@ def _view(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    """Write a dataset."""
+    """Export a study in the format that the options name; return the exit status."""
     from cloth_sim_ros.studies import datasets
 
     if options.video and options.lerobot is None:

@@ -41,7 +41,7 @@ OF_ENSEMBLE = {
 
 
 class OutcomeRecorder:
-    """Records the frames of a simulation and computes its outcomes.
+    """Records the frames of a run and computes its outcomes: numbers such as the mean height.
 
     Args:
         simulation: the simulation, at its start.
@@ -64,7 +64,7 @@ class OutcomeRecorder:
         return len(self._times)
 
     def add(self, frame: Frame, ensemble: EnsembleFrame | None = None) -> None:
-        """Record a frame, and that of an ensemble beside it."""
+        """Record a frame of the run, and of its ensemble if it has one."""
         self._ensemble = ensemble
         self._times.append(frame.time)
         self._wrenches.append(frame.wrenches.copy())
@@ -74,7 +74,7 @@ class OutcomeRecorder:
                 self.error_estimate = (self.error_estimate or 0.0) + float(frame.advance.error)
 
     def outcomes(self) -> dict[str, float]:
-        """Return the built-in outcomes by name."""
+        """Return the built-in outcomes of the recorded frames by name: heights, extents, speeds, forces."""
         x, v = self._simulation.state.x, self._simulation.state.v
         wrenches = np.array(self._wrenches).reshape(-1, 6)
         forces, torques = wrenches[:, :3], wrenches[:, 3:]
@@ -93,7 +93,7 @@ class OutcomeRecorder:
         }
 
     def user_outcomes(self, functions: Mapping[str, Callable[..., Any]], values: dict[str, Any]) -> dict[str, Any]:
-        """Return the outcomes of the user's functions by name.
+        """Call the user's outcome functions; return their numbers by name.
 
         Args:
             functions: functions by reference; each returns a number, or several numbers by name.

@@ -35,7 +35,7 @@ _TARGET_EVENTS = (Target, Move)
 
 
 class _PendingFrame(NamedTuple):
-    """Frame that is not yet written."""
+    """Encoded frame that is not yet written."""
 
     #: ROS time of the frame's end [ns], and the events at its beginning, in order of arrival.
     stamp: int
@@ -51,7 +51,7 @@ class _PendingFrame(NamedTuple):
 
 
 class RunRecording:
-    """Writes a simulation's frames into one session file; methods may raise OSError.
+    """Writes the frames of a study's run into one session file; methods may raise OSError.
 
     Args:
         folder: folder of this run alone; the caller moves the complete file.
@@ -95,7 +95,7 @@ class RunRecording:
 
     @property
     def bytes_written(self) -> int:
-        """Size of the file [bytes]."""
+        """Size of the session file [bytes]."""
         return self._writer.bytes_written
 
     def add(self, events: Sequence[Event], frame: Frame, ensemble: EnsembleFrame | None = None) -> None:
@@ -148,7 +148,7 @@ class RunRecording:
         return self._writer.path
 
     def abandon(self) -> None:
-        """Close the file in its current state."""
+        """Close the session file without pending frames and indexes."""
         self._writer.abandon()
 
     def _encode_ensemble(self, frame: EnsembleFrame, stamp: int) -> bytes:
@@ -160,7 +160,7 @@ class RunRecording:
         return self._deviations.encode(frame.mean.T, stamp, deviation=frame.deviation)
 
     def _set_scene(self, scene: Scene) -> None:
-        """Set the scene of the following frames."""
+        """Set the scene that gives period and topics of the following frames."""
         self._scene, self._period = scene, scene.period
         names, links = scene.obstacle_names, set(scene.link_names)
         #: Indices of the obstacles with topics: all but links of a robot.
@@ -169,7 +169,7 @@ class RunRecording:
         self._topics = [f"{NODE}/{name}/wrench" for name in (*scene.gripper_names, *unlinked_names)]
 
     def _write_pending(self) -> None:
-        """Write the pending frames."""
+        """Write the messages of the pending frames into the session file."""
         pending, self._pending = self._pending, []
         for stamp, events, record, cloud, deviations, topics, wrenches in pending:
             self._stamp = stamp

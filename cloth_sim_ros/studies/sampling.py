@@ -25,7 +25,7 @@ SAMPLINGS = ("sobol", "latin_hypercube", "random", "grid")
 
 
 def grid_size(factors: Sequence[Factor]) -> int:
-    """Return the number of combinations of a full grid.
+    """Return the number of combinations of all values of the factors.
 
     Raises:
         StudyError: if a factor is continuous.
@@ -38,7 +38,7 @@ def grid_size(factors: Sequence[Factor]) -> int:
 
 
 def sample(factors: Sequence[Factor], *, runs: int, seed: int, sampling: str) -> list[tuple[Any, ...]]:
-    """Return the values of each run, in the order of the factors.
+    """Return the values of the factors for each run, by a grid or by (quasi-)random samples.
 
     Args:
         factors: the factors.
@@ -58,7 +58,7 @@ def sample(factors: Sequence[Factor], *, runs: int, seed: int, sampling: str) ->
 
 
 def _unit_samples(dimensions: int, runs: int, seed: int, sampling: str) -> NDArray[np.float64]:
-    """Return samples of the unit cube, shape (runs, dimensions)."""
+    """Return random, Latin hypercube or Sobol samples of the unit cube, shape (runs, dimensions)."""
     from scipy.stats import qmc
 
     generator = np.random.default_rng(seed)

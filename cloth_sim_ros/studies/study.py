@@ -61,7 +61,7 @@ class Study:
     clouds: bool
 
     def to_json(self, files: Mapping[str, str]) -> str:
-        """Return the JSON text, which is unique for a study; `files` maps the name of each file to a stored name."""
+        """Return the study as JSON, the same for equal studies; `files` maps the name of each file to a stored name."""
         content = attrs.asdict(self, filter=lambda field, _: field.name != "files")
         return json.dumps({"version": VERSION, **content, "files": dict(files)}, sort_keys=True, indent=1)
 
@@ -81,7 +81,7 @@ class Study:
         return cls(**content)
 
     def scene(self, values: Mapping[str, Any]) -> Scene:
-        """Return the scene of a run.
+        """Return the scene of a run, with the values of its factors.
 
         Args:
             values: values of the factors by name.
@@ -110,7 +110,7 @@ class Study:
         return Scene.from_parameters(changed, files=self.files)
 
     def moved_scripts(self, values: Mapping[str, Any]) -> list[GripperScript]:
-        """Return the scripts of a run, with positions displaced by the factors `target.*` [m]."""
+        """Return the gripper scripts of a run, with positions displaced by the factors `target.*` [m]."""
         scripts = list(self.scripts)
         for name, value in values.items():
             if name.partition(".")[0] == TARGET:
@@ -124,7 +124,7 @@ class Study:
 
 
 def parse_target(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int | None, int]:
-    """Return the indices of script, position (None for all) and axis of ``target.<gripper>[.<number>].<axis>``.
+    """Return the indices of script, waypoint (None: all) and axis of ``target.<gripper>[.<number>].<axis>``.
 
     Raises:
         StudyError: if the name matches no target.

@@ -28,7 +28,7 @@ _MAX_TRIALS = 8
 
 @attrs.frozen(kw_only=True)
 class StudyEstimate:
-    """Estimated cost of a run."""
+    """Estimated cost of a run: wall time [s], bytes and frames."""
 
     #: Wall time of one run on one core [s].
     seconds_per_run: float
@@ -38,7 +38,7 @@ class StudyEstimate:
     n_frames: int
 
     def describe(self, runs: int, cores: int) -> str:
-        """Return a text with the cost of all runs on a number of cores."""
+        """Return the disk space and the wall time of all runs on a number of cores, as text."""
         hours = runs * self.seconds_per_run / 3600.0 / cores
         return (
             f"about {format_quantity(runs * self.bytes_per_run, 'B')} and {hours:,.2g} hours on {cores} cores "
@@ -56,7 +56,7 @@ def format_quantity(value: float, unit: str) -> str:
 
 
 def sample_and_estimate(study: Study, cores: int) -> tuple[list[tuple[Any, ...]], StudyEstimate]:
-    """Return the values of each run and the cost estimate, after all checks that are possible.
+    """Check a study; return the factor values of each run and the estimated cost of a run.
 
     Args:
         study: the study.
@@ -76,7 +76,7 @@ def sample_and_estimate(study: Study, cores: int) -> tuple[list[tuple[Any, ...]]
 
 
 def check_disk_space(folder: Path, study: Study, estimate: StudyEstimate) -> None:
-    """Refuse a study that exceeds the free disk space.
+    """Refuse a study whose sessions would exceed the free disk space.
 
     Raises:
         StudyError: if the space is too small; the text names the required and the free space.
@@ -93,7 +93,7 @@ def check_disk_space(folder: Path, study: Study, estimate: StudyEstimate) -> Non
 
 
 def estimate_study(study: Study, samples: Sequence[Sequence[Any]]) -> StudyEstimate:
-    """Return the cost estimate of the first run that starts.
+    """Return the estimated cost of a run, measured on the first frames of the first run that starts.
 
     Raises:
         StudyError: if none of the first runs starts.
@@ -143,7 +143,7 @@ def _draw_samples(study: Study) -> list[tuple[Any, ...]]:
 
 
 def _check_extremes(study: Study, samples: Sequence[Sequence[Any]]) -> None:
-    """Refuse the least and the greatest drawn value of a normal distribution if it is invalid.
+    """Refuse a study if the smallest or largest drawn value of a normal distribution is invalid in the scene.
 
     Raises:
         StudyError: if a value is invalid; the text names value and run.

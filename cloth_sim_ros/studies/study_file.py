@@ -43,7 +43,7 @@ _MAX_DURATION = 1e6
 
 
 def read(path: str | Path) -> Study:
-    """Read and check a study.
+    """Return the study of a YAML file after checking it.
 
     Raises:
         StudyError: if the file is invalid; the text names file, entry and problem.
@@ -135,7 +135,7 @@ def _vary(content: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _files(parameters: Mapping[str, Any], factors: Sequence[Factor], folders: Sequence[Path]) -> dict[str, bytes]:
-    """Return the content of all files that parameters and factors name, from the first folder with the file."""
+    """Return the contents by name of all files that parameters and factors name, from the first folder with each."""
     entries: list[dict[str, Any]] = [{name: value} for name, value in parameters.items()]
     entries += [{factor.name: value} for factor in factors if factor.kind == "choices" for value in factor.values]
     contents: dict[str, bytes] = {}
@@ -212,7 +212,7 @@ def _runs(value: Any, factors: Sequence[Factor], sampling: str) -> int:
 
 
 def _check_factors(study: Study) -> None:
-    """Refuse unknown names of factors and invalid values; each factor is checked alone.
+    """Refuse a study with unknown names of factors or invalid values; each factor is checked alone.
 
     Raises:
         StudyError: if a factor is invalid.

@@ -42,7 +42,7 @@ class RunError(RuntimeError):
 
 
 def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> list[int]:
-    """Execute several runs sequentially, as one Dask task; results go to the folder.
+    """Execute several runs in sequence, as one Dask task; sessions and rows of results go to the study's folder.
 
     Args:
         folder: folder of the study.
@@ -73,7 +73,7 @@ def _read_study(folder: str, _modified_ns: int) -> Study:
 
 
 def perform(study_folder: StudyFolder, study: Study, run: int, values: Sequence[Any]) -> dict[str, Any]:
-    """Execute one run, write its session and its row, and return the row.
+    """Execute one run, write its session and its row of results, and return the row.
 
     A successful run is not repeated.
 
@@ -112,7 +112,7 @@ def perform(study_folder: StudyFolder, study: Study, run: int, values: Sequence[
 
 
 def empty_row(study: Study, run: int, factor_levels: dict[str, Any], *, status: str, error: str) -> dict[str, Any]:
-    """Return the row of a run without results."""
+    """Return the row of a run without results, such as a failed one: index, status, error, seed and factor values."""
     return {
         "run": run,
         "status": status,
@@ -132,7 +132,7 @@ def empty_row(study: Study, run: int, factor_levels: dict[str, Any], *, status: 
 
 
 def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path) -> tuple[dict[str, Any], Path | None]:
-    """Simulate and record a run; return its row without times, and its session file or None."""
+    """Simulate and record a run; return its row without times, and its session file, None if nothing started."""
     row = empty_row(study, run, factor_levels, status=OK, error="")
     try:
         commanded = CommandedSimulation.create(study, run, factor_levels)
@@ -162,7 +162,7 @@ def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path)
 
 
 def _start_ensemble(simulation: Simulation) -> Ensemble | None:
-    """Return the ensemble about a simulation, at its start; None if its scene names no distribution.
+    """Return the ensemble of a run's scene, at its start; None if the scene names no distribution.
 
     Raises:
         ValueError: if the distribution does not fit the scene.
@@ -203,7 +203,7 @@ def _user_outcomes(study: Study, outcome_recorder: OutcomeRecorder, factor_level
 
 @attrs.define(eq=False)
 class CommandedSimulation:
-    """Simulation of a run with its scripts or its policy."""
+    """Simulation of a run, commanded by scripts or by the user's policy."""
 
     simulation: Simulation
     #: Number of frames of the run.
@@ -215,7 +215,7 @@ class CommandedSimulation:
 
     @classmethod
     def create(cls, study: Study, run: int, factor_levels: dict[str, Any]) -> CommandedSimulation:
-        """Return the simulation of a run.
+        """Return the simulation of a run at its start, with its scripts or its policy.
 
         Args:
             study: the study.
@@ -248,7 +248,7 @@ class CommandedSimulation:
         return commanded
 
     def advance(self) -> tuple[Sequence[Event], Frame, EnsembleFrame | None]:
-        """Advance by one frame and return its events, the frame, and that of the ensemble.
+        """Advance by one commanded frame; return its events, the frame, and the ensemble's frame or None.
 
         Raises:
             RunError: if the policy raises or returns invalid events, the motion does not stay finite, or a member of

@@ -39,12 +39,12 @@ _MAX_KILLS = 3
 
 
 class _SchedulerGoneError(RuntimeError):
-    """The scheduler lost its tasks."""
+    """Error of a scheduler that was restarted and has lost its tasks."""
 
 
 @attrs.define
 class StudyRunner:
-    """Executes the unfinished runs of a study on a cluster.
+    """Executes the unfinished runs of a study on a Dask cluster.
 
     Args:
         study_folder: the study's folder.
@@ -64,7 +64,7 @@ class StudyRunner:
     _kills: collections.Counter[int] = attrs.field(factory=collections.Counter, init=False)
 
     def run(self, address: cluster.SchedulerAddress | str, runs: Iterable[int], *, wait: float) -> None:
-        """Execute runs on a cluster.
+        """Execute runs on a Dask cluster, and reconnect if the scheduler is lost.
 
         Args:
             address: address of the scheduler; a text such as ``tcp://host:8786`` if it needs no certificate.
@@ -129,21 +129,21 @@ class StudyRunner:
                 client.cancel(list(pending), force=True)
 
     def _max_pending_tasks(self, client: Client) -> int:
-        """Return the limit of pending tasks."""
+        """Return the maximum number of submitted tasks, in proportion to the cluster's threads."""
         threads = sum(client.nthreads().values())
         if not threads:
             self.on_message("the cluster has no worker yet; start some: dask worker ADDRESS --nthreads 1")
         return max(_TASKS_PER_THREAD * threads, _TASKS_PER_THREAD)
 
     def _batches(self, runs: Sequence[int], client: Client) -> list[list[int]]:
-        """Divide runs into batches, one task each."""
+        """Divide runs into batches, one for each Dask task."""
         threads = max(sum(client.nthreads().values()), 1)
         fitting = int(_TASK_SECONDS / max(self.seconds_per_run, 1e-3))
         size = max(min(fitting, _MAX_RUNS_PER_TASK, len(runs) // (4 * threads)), 1)
         return [list(runs[k : k + size]) for k in range(0, len(runs), size)]
 
     def _collect(self, future: Any, batch: list[int]) -> list[list[int]]:
-        """Process the end of a task and return the batches that must be repeated."""
+        """Report the runs of an ended task; return the unfinished ones, in batches to be submitted again."""
         from distributed import KilledWorker
 
         if future.status == "cancelled":
@@ -177,7 +177,7 @@ class StudyRunner:
         self._report_if_finished(run)
 
     def _report_if_finished(self, run: int) -> bool:
-        """Return true if a run is finished, after a call of `on_progress`."""
+        """Call `on_progress` for a run if it is finished; return True then."""
         row = read_row(self.study_folder.row_file(run))
         if row is None:
             return False
@@ -186,6 +186,6 @@ class StudyRunner:
 
 
 def _close(client: Client) -> None:
-    """Close a connection, also if the scheduler no longer exists."""
+    """Close a connection to a scheduler, even if the scheduler no longer exists."""
     with contextlib.suppress(Exception):
         client.close(timeout=2)

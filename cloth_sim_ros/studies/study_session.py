@@ -36,7 +36,7 @@ def run_study(
     workers: int | None = None,
     wait: float = 300.0,
 ) -> int:
-    """Execute the unfinished runs of a study.
+    """Execute the unfinished runs of a study, with checks, index and summary; return the exit status.
 
     Args:
         path: file of the study.
@@ -107,7 +107,7 @@ def _write_index(study_folder: StudyFolder, rows: dict[int, dict[str, Any]]) -> 
 def _finished_rows(
     study_folder: StudyFolder, study: Study, resume: bool, retry_failed: bool
 ) -> dict[int, dict[str, Any]]:
-    """Return the rows of the finished runs in a folder, by run.
+    """Return the rows of results of a folder's runs that need no repetition, by run.
 
     Raises:
         StudyError: if the folder belongs to another study, or has results and `resume` is false.

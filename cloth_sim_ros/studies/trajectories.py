@@ -51,7 +51,7 @@ class Trajectory:
 
 
 def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajectory:
-    """Return the trajectory of a run by simulating its session again.
+    """Return the trajectory of a run by simulating its session again, with digest checks.
 
     Args:
         run: index of the run.
@@ -90,7 +90,7 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
 
 
 class _TrajectoryRecorder:
-    """Records the trajectory of a simulation."""
+    """Records the states, actions and wrenches of a simulation as a trajectory."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -102,7 +102,7 @@ class _TrajectoryRecorder:
         self._record_state()
 
     def add(self, events: list[Any], frame: Any) -> None:
-        """Record the latest frame."""
+        """Record the newest frame and the events that led to it."""
         names = self._simulation.grippers.names
         for event in events:
             if isinstance(event, Target):

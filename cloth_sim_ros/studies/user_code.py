@@ -28,7 +28,7 @@ USER_ERRORS = (Exception, SystemExit)
 
 @attrs.frozen(kw_only=True)
 class Source:
-    """Source of a user function."""
+    """Reference to a user's function, and the text of its file."""
 
     #: Reference in the study, ``file.py:name`` or ``module:name``.
     reference: str
@@ -38,7 +38,7 @@ class Source:
 
 @attrs.frozen(kw_only=True)
 class Observation:
-    """Argument of a policy at the beginning of a frame."""
+    """Observation that a user's policy receives at the beginning of a frame."""
 
     #: Simulated time [s].
     time: float
@@ -58,7 +58,7 @@ class Observation:
 
 @attrs.frozen(kw_only=True)
 class Finished:
-    """Argument of a user's outcome function at the end of a run."""
+    """Frames and final state of a run that a user's outcome function receives."""
 
     #: Simulated time of each frame's end [s], shape (frames,).
     times: NDArray[np.float64]
@@ -74,7 +74,7 @@ class Finished:
 
 
 def read_source(reference: Any, role: str, folder: Path) -> Source:
-    """Return the source of a reference in a study.
+    """Return the source of a user's function that a study names.
 
     Args:
         reference: ``file.py:name`` or ``module:name``.
@@ -97,7 +97,7 @@ def read_source(reference: Any, role: str, folder: Path) -> Source:
 
 
 def load_function(source: Source, role: str) -> Callable[..., Any]:
-    """Import and return a function or class.
+    """Import and return a user's function or class.
 
     Args:
         source: source of the function.
@@ -131,7 +131,7 @@ def format_error(error: BaseException) -> str:
 
 
 def as_events(answer: Any) -> Sequence[Any]:
-    """Return the result of a policy as a list of events; None gives an empty list."""
+    """Return a policy's answer as a list of events: None gives none, a single event a list of one."""
     if answer is None:
         return []
     if isinstance(answer, list | tuple):

@@ -19,7 +19,7 @@ _CODEC, _PIXELS = "libx264", "yuv420p"
 
 
 def render(run: Trajectory, path: Path, *, fps: int) -> tuple[dict[str, Any], Statistics]:
-    """Draw the state at the beginning of every frame and write the video.
+    """Write the video of a run, with a picture of each frame's beginning.
 
     Args:
         run: the run.
@@ -74,7 +74,7 @@ def _statistics(pixels: np.ndarray, frames: int) -> Statistics:
 
 
 def _pictures(run: Trajectory) -> Any:
-    """Yield the frames as pictures, shape (HEIGHT, WIDTH, 3), uint8."""
+    """Yield a picture of the cloth at the beginning of each frame, shape (HEIGHT, WIDTH, 3), uint8."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection

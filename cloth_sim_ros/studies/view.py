@@ -36,7 +36,7 @@ def view(
     run: int | None = None,
     save: Path | None = None,
 ) -> int:
-    """Show the results in a study's folder and return the exit status.
+    """Show the results of a study as table, plot or in Rerun; return the exit status.
 
     Args:
         folder: folder of the study.
@@ -65,7 +65,7 @@ def view(
 
 
 def column_of(table: pa.Table, name: str, role: str) -> str:
-    """Return the column of a name, which may lack an outcome's prefix.
+    """Return the index's column for a name, in which an outcome's prefix may be missing.
 
     Args:
         table: the index.
@@ -83,7 +83,7 @@ def column_of(table: pa.Table, name: str, role: str) -> str:
 
 
 def format_table(table: pa.Table, *, order: str | None = None, rows: int = 20, first: str | None = None) -> str:
-    """Return the table as text.
+    """Return the index of a study as text: one line for each run.
 
     Args:
         table: the index.

@@ -51,7 +51,7 @@ def certify(
     particles: BinaryIO | None = None,
     every_sample: bool = False,
 ) -> tuple[Verdict, Certificate]:
-    """Run a session again and measure its accuracy.
+    """Run a session again and measure its true error against a reference solution; return verdict and certificate.
 
     Args:
         paths: the files of one session, in order.
@@ -76,7 +76,7 @@ def certify(
 
 
 class _Certifier:
-    """Measures the frames of a re-run; a `RunObserver`."""
+    """Observer of a re-run that measures the true error of each frame and each window for a certificate."""
 
     def __init__(self, on_frame: Callable[[], object], particles: BinaryIO | None, every_sample: bool) -> None:
         self.certificate, self.seconds = Certificate(name=""), 0.0
@@ -101,7 +101,7 @@ class _Certifier:
     def frame(
         self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
     ) -> None:
-        """Store a frame of the re-run."""
+        """Store a frame of the re-run, to be assessed by `close`."""
         self._frame = self._capture.capture(simulation, scene_before, before, frame)
         self._is_reproduced = record.digest == simulation.state.digest()
         self._recorded, self._is_altered = None, False
@@ -112,7 +112,7 @@ class _Certifier:
         self._is_altered = not is_same and self._is_reproduced
 
     def close(self) -> None:
-        """Assess the frame, after all its messages."""
+        """Assess the stored frame against the reference solution, after all its messages."""
         frame, self._frame = self._frame, None
         self.certificate.altered += self._is_altered
         if frame is not None:
@@ -124,13 +124,13 @@ class _Certifier:
         self._is_altered = False
 
     def end(self) -> None:
-        """Assess the last window."""
+        """Assess the last window, at the end of the session."""
         start_time = time.perf_counter()
         self._end_window()
         self.seconds += time.perf_counter() - start_time
 
     def _end_window(self) -> None:
-        """Measure the amplification of later perturbations if those at its beginning do not explain the window's error.
+        """End a window; measure the amplification of later perturbations if earlier ones don't explain its error.
 
         The error bound includes the later ones.
         """
@@ -195,11 +195,11 @@ class _Certifier:
         return None if self._recorded is None else self._recorded.T.astype(np.float64)
 
     def _rounding(self) -> float:
-        """Return the relative rounding of the recorded positions."""
+        """Return the unit roundoff of the recorded positions, of single or double precision."""
         return 2.0**-53 if self._recorded is not None and self._recorded.dtype.itemsize == 8 else _FLOAT32
 
     def _advance_session(self, frame: SimulatedFrame) -> ReferenceResult | None:
-        """Advance the reference from the session's beginning; None beyond the horizon."""
+        """Advance the reference solution that began with the session; None beyond the horizon."""
         if self._session_reference is None:
             return None
         reference, certificate = self._session_reference.advance(self._equations, frame), self.certificate
@@ -245,5 +245,5 @@ def _max_error(recorded: Array | None, reference: Array) -> float:
 
 
 def is_sampled(window: int) -> bool:
-    """Return True for the first eight windows, then every second, fourth, ...: the cost grows logarithmically."""
+    """Return True for windows that the independent integrator checks: the first eight, then every second, fourth ..."""
     return window % max(1, 1 << max(0, window.bit_length() - 3)) == 0

@@ -38,7 +38,7 @@ _POLL_SECONDS = 0.25
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Assess windows until the input ends; return the exit status."""
+    """Assess the windows that standard input holds, print a line of JSON for each; return the exit status."""
     threading.Thread(target=_exit_with_parent, args=(int(arguments[0]),), daemon=True).start()
     os.nice(_NICENESS)
     scene: Scene | None = None
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def assess_window(scene: Scene, state: State, events: Sequence[Sequence[Event]], digest: str) -> dict[str, Any]:
-    """Run a window again and compare it with a reference solution.
+    """Run a window of a live simulation again and measure its error against a reference solution.
 
     Args:
         scene: effective at its beginning.

@@ -70,7 +70,7 @@ class _Key(NamedTuple):
 
 
 class _PendingRecord(NamedTuple):
-    """A frame record that is not run yet."""
+    """A recorded frame that has not been run again yet."""
 
     key: _Key
     record: FrameRecord
@@ -80,7 +80,7 @@ class _PendingRecord(NamedTuple):
 
 @dataclass
 class _Contents:
-    """Frame records and snapshots of one node in the bag."""
+    """Index of one node's frame records and snapshots in the bag."""
 
     sessions: dict[str, int] = field(default_factory=dict)
     """Index by identifier of the node's run."""
@@ -96,12 +96,12 @@ class _Contents:
     """Number of unreadable messages by reason, of the first few reasons."""
 
     def key(self, session: str, sequence: int) -> _Key:
-        """Return the place of a record."""
+        """Return the key of a record, from the identifier of the node's run and the record's number."""
         return _Key(self.sessions.setdefault(session, len(self.sessions)), sequence)
 
 
 def verify_bag(path: Path, *, on_frame: Callable[[], object] = lambda: None) -> list[Verdict]:
-    """Run each cloth of a bag again and compare it with the bag.
+    """Run each node's cloth in a bag again and compare it with the bag; return a verdict for each node.
 
     Args:
         path: the bag's folder or its file.
@@ -133,7 +133,7 @@ def verify_bag(path: Path, *, on_frame: Callable[[], object] = lambda: None) -> 
 
 
 def _messages(files: list[Path], damage: list[str]) -> Iterator[Message]:
-    """Yield the messages of a bag up to the first damaged record of each file; add the damage."""
+    """Yield the messages of a bag, of each file up to its first damaged record, which is noted in `damage`."""
     for path in files:
         try:
             for topic, kind, log_time, data in bag_messages(path):
@@ -177,7 +177,7 @@ def _read_record(message: Message, content: _Contents) -> _PendingRecord:
 
 
 class _BagRun:
-    """Re-run of one node's frames.
+    """Re-run of one node's recorded frames, and comparison of its messages.
 
     Args:
         node: prefix of its topics.
@@ -217,7 +217,7 @@ class _BagRun:
         self._wrench_topics: set[str] = set()
 
     def report_missing(self, damage: list[str]) -> None:
-        """Report damaged files, unreadable messages, and the frame records that are missing between others."""
+        """Add to the verdict: damaged files, unreadable messages, and gaps between the frame records."""
         verdict = self._findings.verdict
         unreadable = (
             f"{pluralize(count, 'message')} of {reason}" for reason, count in self._content.unreadable.items()
@@ -227,14 +227,14 @@ class _BagRun:
             verdict.missing.append(f"no message of {self._node}{SNAPSHOT_LEAF}, from which the frames could be run")
         if count := self._content.conflict_count:
             verdict.missing.append(f"{pluralize(count, 'message')} of {self._topic} with another content for one frame")
-        gaps = self._gaps()
+        gaps = self._describe_gaps()
         verdict.missing += itertools.islice(gaps, _MAX_GAPS)
         if n_more := sum(1 for _ in gaps):
             verdict.missing.append(f"{pluralize(n_more, 'further gap')} of the records")
         verdict.damaged = bool(verdict.missing or not self._starts)
 
-    def _gaps(self) -> Iterator[str]:
-        """Yield a sentence for each gap between the records behind the first start."""
+    def _describe_gaps(self) -> Iterator[str]:
+        """Yield a sentence for each gap between frame records, from the first one that can be run on."""
         frames, starts = self._content.frames, self._starts
         for before, after in itertools.pairwise(sorted(frames)):
             # Before the first snapshot nothing is run.
@@ -253,7 +253,7 @@ class _BagRun:
                 yield f"no snapshot before frame {frames[after]}, with which the node began anew; {end}"
 
     def add(self, message: Message) -> None:
-        """Add a message of the node."""
+        """Process a message of the node: a frame record, a snapshot, or an output to be compared."""
         topic = message.topic
         if topic == self._topic:
             self._add_record(message)
@@ -269,7 +269,7 @@ class _BagRun:
             self._findings.not_compared(topic, "a bag does not hold its frame")
 
     def end(self) -> Verdict:
-        """Run the last frames; return the verdict."""
+        """Run the last frames, report the messages that no frame needed, and return the verdict."""
         while self._pending:
             self._run(self._pending.pop(0))
         findings, verdict = self._findings, self._findings.verdict
@@ -340,7 +340,7 @@ class _BagRun:
             self._skip_outputs(stamp, self._take_outputs(stamp))
 
     def _run(self, pending: _PendingRecord) -> None:
-        """Run the frame of a record, if the state before it is known."""
+        """Run the frame of a record again and compare it, if the state before the frame is known."""
         key, record, stamp = pending
         self._compare_due_snapshot()
         self._last_key = key
@@ -377,12 +377,12 @@ class _BagRun:
         self._on_frame()
 
     def _extend_part(self, stamp: int, *, is_first: bool) -> None:
-        """Add the stamp of a frame that is run [ns] to its part of the bag."""
+        """Extend the time span of the current part of the bag by the stamp of a frame that is run [ns]."""
         first, last = (stamp, stamp) if is_first else self._parts.pop()
         self._parts.append((min(first, stamp), max(last, stamp)))
 
     def _begin(self, key: _Key, snapshot: BagSnapshot | None) -> None:
-        """Begin a part of the bag with a record and the snapshot before it."""
+        """Begin a part of the bag: build the simulation from the snapshot before its first record."""
         findings, self._simulation = self._findings, None
         if snapshot is None:
             frame = self._content.frames[key]
@@ -409,7 +409,7 @@ class _BagRun:
         verdict.environment += [entry for entry in environment if entry not in verdict.environment]
 
     def _compare_topologies(self, *, is_last: bool) -> None:
-        """Compare the waiting topologies: of this run of the node, or at the end of the bag perhaps of another one."""
+        """Compare the waiting topology messages with the scene; those of other runs of the node are skipped."""
         waiting, self._topologies = self._topologies, []
         scene = None if self._simulation is None else self._simulation.scene
         for index, message in enumerate(waiting):
@@ -424,7 +424,7 @@ class _BagRun:
         self._findings.not_compared(message.topic, "of no frame that was run")
 
     def _compare_due_snapshot(self) -> None:
-        """Compare a snapshot behind the last frame, which the run does not need."""
+        """Compare the snapshot after the last frame with the re-run, unless a part of the bag begins with it."""
         if self._simulation is None or self._next is None or self._is_start(self._next):
             return
         snapshot = self._snapshots.pop(self._next, None)
@@ -436,7 +436,7 @@ class _BagRun:
             self._findings.difference("snapshot", f"the snapshot behind it{reason}", rounding=is_rounding)
 
     def _take_outputs(self, stamp: int) -> dict[str, Message]:
-        """Remove and return the first clouds and wrenches of a stamp [ns] by topic."""
+        """Remove and return, by topic, the first waiting cloud and wrenches of a stamp [ns]."""
         by_topic = self._outputs.get(stamp, {})
         frame_outputs = {topic: entries.popleft() for topic, entries in by_topic.items()}
         for topic in [topic for topic, entries in by_topic.items() if not entries]:
@@ -447,7 +447,7 @@ class _BagRun:
         return frame_outputs
 
     def _skip_outputs(self, stamp: int, frame_outputs: dict[str, Message]) -> None:
-        """Count clouds and wrenches of a stamp [ns] for which no frame came."""
+        """Report the clouds and wrenches of a stamp [ns] that belong to no frame that was run."""
         is_inside = stamp < 0 or any(first <= stamp <= last for first, last in self._parts)
         for topic, message in frame_outputs.items():
             if self._compared.get((stamp, topic)) == hash(message.data):
@@ -458,7 +458,7 @@ class _BagRun:
                 self._stray[topic] += 1
 
     def _note_compared(self, stamp: int, message: Message) -> None:
-        """Remember a compared cloud or wrench of a stamp [ns]."""
+        """Remember a compared cloud or wrench of a stamp [ns], to recognize its repetition."""
         self._compared[stamp, message.topic] = hash(message.data)
         if len(self._compared) > _MAX_REPEATED:
             del self._compared[next(iter(self._compared))]
@@ -485,7 +485,7 @@ class _BagRun:
 
 
 def _snapshot_difference(snapshot: BagSnapshot, simulation: Simulation) -> tuple[str, bool]:
-    """Return the difference of a snapshot from the re-run, empty if none, and True if rounding can cause it."""
+    """Return the difference of a snapshot from the re-run as text, "" if none, and True if rounding can cause it."""
     content = snapshot.snapshot
     try:
         if State.from_bytes(content.state).digest() != simulation.state.digest():
@@ -501,7 +501,7 @@ def _snapshot_difference(snapshot: BagSnapshot, simulation: Simulation) -> tuple
 
 
 def _starts(content: _Contents) -> Iterator[_Key]:
-    """Yield the records that begin a part of the bag: each follows a snapshot, and no record that is run."""
+    """Yield the records at which a re-run begins: each follows a snapshot, and no record that is run."""
     expected: _Key | None = None
     for key in sorted(content.frames):
         if key == expected:
@@ -512,7 +512,7 @@ def _starts(content: _Contents) -> Iterator[_Key]:
 
 
 def _header_stamp(data: bytes) -> int:
-    """Return the stamp of a message that begins with a header [ns]; -1 if it is cut off or no time."""
+    """Return the stamp [ns] of a message that begins with a header; -1 if it is cut off or invalid."""
     if len(data) < 12:
         return -1
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] else ">iI", data, 4)

@@ -64,7 +64,7 @@ class FrameAccuracy:
 
     @property
     def error_bound(self) -> float:
-        """Error bound up to this frame [m]; nan without a tolerance."""
+        """Error bound from the window's beginning to this frame [m]; nan without a tolerance."""
         return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.amplification)
 
     @property
@@ -83,7 +83,7 @@ class FrameAccuracy:
 )
 @attrs.define(kw_only=True)
 class AccuracyWindow:
-    """One second of simulated time, from the simulation's state at its beginning; shorter at an end or a reset."""
+    """Measured accuracy of a second of simulated time, or less before an end or a reset."""
 
     index: int
     start: float
@@ -110,7 +110,7 @@ class AccuracyWindow:
     """Number of unflagged frames whose error alone exceeds its bound."""
 
     def add(self, frame: FrameAccuracy) -> None:
-        """Add the next frame."""
+        """Include the next frame in the maxima of the window."""
         is_first = not self.frames
         self.end, self.frames = frame.time, self.frames + 1
         self.flagged += frame.flagged
@@ -128,14 +128,14 @@ class AccuracyWindow:
 
     @property
     def error_bound(self) -> float:
-        """Error bound [m]; nan without a tolerance."""
+        """Error bound of the window, tolerance times amplification [m]; nan without a tolerance."""
         if self.tolerance is None:
             return float("nan")
         return self.tolerance * max(1.0, self.amplification, self.later_amplification)
 
     @property
     def verdict(self) -> WindowVerdict:
-        """Verdict on the error bound. The rounding floor is added to the bound: no error can be smaller."""
+        """Verdict of the window: kept, not kept, undecided, flagged, or without a bound ("no promise")."""
         if self.tolerance is None:
             return "no promise"
         if self.violating_frames:
@@ -150,7 +150,7 @@ class AccuracyWindow:
 
 @attrs.frozen(kw_only=True)
 class Sample:
-    """A frame that an independent integrator also ran, from the same state."""
+    """Comparison of a frame with an independent integrator from the same state."""
 
     frame: int
     stated: float
@@ -163,14 +163,14 @@ class Sample:
 
     @property
     def agrees(self) -> bool:
-        """True if the two differ by at most 20 % of the error or 10 % of the tolerance."""
+        """True if reference and independent integrator differ by at most 20 % of the error or 10 % of the tolerance."""
         allowed = max(0.2 * self.independent, MAX_UNCERTAINTY_FRACTION * (self.tolerance or DEFAULT_TOLERANCE))
         return self.difference <= allowed
 
 
 @attrs.define(kw_only=True)
 class Certificate:
-    """Accuracy of a session."""
+    """True error of a recorded session, by frame and by window."""
 
     name: str
     windows: list[AccuracyWindow] = attrs.field(factory=list)

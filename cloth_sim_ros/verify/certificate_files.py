@@ -18,7 +18,7 @@ from cloth_sim_ros.verify.verdict import Verdict
 
 
 def write_json(certificate: Certificate, path: Path, verdict: Verdict) -> None:
-    """Write a certificate and the counts of the comparison as JSON; unknown numbers are null."""
+    """Write a certificate and the verdict of the re-run as JSON; unknown numbers are null."""
     content = attrs.asdict(certificate)
     content["run"] = {
         "same": verdict.same,

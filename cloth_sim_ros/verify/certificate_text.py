@@ -129,7 +129,7 @@ def _frame_severity(frame: FrameAccuracy) -> float:
 
 
 def _severity(error: float, allowed: float) -> float:
-    """Return the sort key: error over its bound, or the error itself without a bound. Unknown errors are worst."""
+    """Return the key that sorts errors: error over its bound, or the error without a bound; infinite if unknown."""
     if math.isnan(error):
         return math.inf
     return error if math.isnan(allowed) else error / allowed

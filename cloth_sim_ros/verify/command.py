@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status."""
+    """Run `cloth_verify`; return its exit status."""
     return run_command("cloth_verify", "cloth_sim_ros.verify.main", arguments)

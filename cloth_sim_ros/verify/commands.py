@@ -48,7 +48,7 @@ class _PendingTarget(NamedTuple):
 
 
 class CommandCheck:
-    """Compares received commands with events, message by message in the order of the file.
+    """Compares received commands with the events of the next frames, message by message in the order of the file.
 
     Args:
         node: resolved name of the node.
@@ -77,11 +77,11 @@ class CommandCheck:
 
     @property
     def topics(self) -> frozenset[str]:
-        """Topics of the commands."""
+        """Topics on which the node receives commands."""
         return frozenset(self._kinds)
 
     def receive(self, message: Message, simulation: Simulation) -> None:
-        """Store a command that was received after the last frame."""
+        """Store a command that the node received after the last frame, until an event matches it."""
         name, leaf = self._kinds[message.topic]
         if leaf == "twist":
             self._twisted.add(name)
@@ -119,7 +119,7 @@ class CommandCheck:
             self._skip(waiting.pop(0).topic, "more than can wait")
 
     def compare(self, record: FrameRecord, log_time: int, stamp: int, simulation: Simulation) -> None:
-        """Compare the commands received before a frame with its events.
+        """Compare the stored commands with the events of a frame; report those without a counterpart.
 
         Args:
             record: of the frame.
@@ -162,7 +162,7 @@ class CommandCheck:
                 self._newest.pop(name, None)
 
     def end(self) -> None:
-        """List commands that still wait at the end of the session."""
+        """Report commands that still wait at the end of the session as not compared."""
         for waiting in self._waiting.values():
             self._drop(waiting, "waiting at the end, or refused as too far ahead or too old")
         for name, unmatched in self._grasps.items():
@@ -203,7 +203,7 @@ class CommandCheck:
         self._check_overdue(name, stamp, None, known=known)
 
     def _check_overdue(self, name: str, stamp: int, simulation: Simulation | None, *, known: bool) -> None:
-        """Report waiting targets that the node must have applied by now."""
+        """Report waiting targets of a body that the node must have applied by a stamp [ns]."""
         waiting = self._waiting.get(name, [])
         overdue = [target for target in waiting if target.certain and target.stamp <= stamp]
         if not overdue:
@@ -217,7 +217,7 @@ class CommandCheck:
             self._drop(cleared, "cleared, or received before the recording")
 
     def _may_be_impossible(self, name: str, simulation: Simulation) -> bool:
-        """Return True if the node may have refused the target: its body was removed, or its pads are not placed yet."""
+        """Return True if the node may have refused a body's target: it was removed, or its pads have no pose yet."""
         grippers = simulation.grippers
         if name not in self._grippers:
             return simulation.obstacles is None or name not in simulation.obstacles.names

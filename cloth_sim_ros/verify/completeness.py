@@ -24,7 +24,7 @@ _MAX_COUNT_DIGITS = 20
 
 @dataclass(slots=True)
 class _TopicState:
-    """State of one topic."""
+    """Messages and gaps of one topic so far."""
 
     kind: str
     droppable: bool
@@ -39,7 +39,7 @@ class _TopicState:
 
 
 class CompletenessCheck:
-    """Checks the messages of a session from its first file to its last.
+    """Finds missing messages of a session: by sequence numbers, log times and end records.
 
     Args:
         findings: collects missing messages and differences.
@@ -59,7 +59,7 @@ class CompletenessCheck:
         """Missing messages of droppable topics: position of the first frame, topic, count."""
 
     def begin(self, part: SessionPart, open_time: int) -> None:
-        """Begin a file that was opened at a log time [ns]."""
+        """Begin a file that was opened at a log time `open_time` [ns]."""
         self._part, self._open_time = part, open_time
         self._counts = Counter()
         if part.index:
@@ -85,7 +85,7 @@ class CompletenessCheck:
         return last.publish_time == message.publish_time and last.sequence == message.sequence
 
     def add(self, message: Message, *, is_from_node: bool, is_opening: bool = False) -> None:
-        """Add a message.
+        """Check the sequence number and the log time of the next message.
 
         Args:
             message: the message.
@@ -104,14 +104,14 @@ class CompletenessCheck:
         topic.last = message
 
     def add_missing(self, topic: str) -> None:
-        """Count a missing message of the last frame on a topic."""
+        """Count a message that the last frame lacks on a topic."""
         entry = self._topics[topic]
         entry.n_missing += 1
         if entry.missing_from is None:
             entry.missing_from = self._findings.position
 
     def finish(self, *, whole: bool) -> None:
-        """End a file and compare its end record. `whole`: True if the file was read to its end."""
+        """End a file; compare its number of messages with its end record. `whole`: True if it was read to its end."""
         part = self._part
         assert part is not None
         notes = part.end_notes
@@ -132,7 +132,7 @@ class CompletenessCheck:
             self._findings.difference("message count", f"the end record of {part.path.name}: {counts}")
 
     def end(self) -> None:
-        """End the session: the missing messages must equal the dropped ones."""
+        """End the session; report missing messages that exceed the dropped ones."""
         for name, topic in self._topics.items():
             if topic.unnumbered:
                 self._findings.not_compared(name, "without sequence numbers, so that missing ones do not show")
@@ -151,12 +151,12 @@ class CompletenessCheck:
             self._findings.difference(kind, reason, position=position, count=count)
 
     def absent(self, topic: str) -> bool:
-        """Return True if frames lack messages of a topic and the session has none."""
+        """Return True if a topic has no message in the session, although frames demand some."""
         entry = self._topics[topic]
         return not entry.count and entry.n_missing > 0
 
     def forgive_last_frame(self, position: FramePosition) -> list[str]:
-        """Forgive missing messages of the last frame in a file that ended within it; return their topics."""
+        """Forgive the messages that the frame of an aborted recording lacks; return their topics."""
         topics = []
         for name, topic in self._topics.items():
             if topic.n_missing == 1 and topic.missing_from == position:
@@ -189,7 +189,7 @@ class CompletenessCheck:
         self._close_gap(message.topic, topic, increment - 1)
 
     def _close_gap(self, name: str, topic: _TopicState, gap: int | None) -> None:
-        """Compare a gap of sequence numbers (None if unknown) with the number of frames without a message."""
+        """Report messages missing on a topic, unless they may be dropped ones; `gap`: their number, if known."""
         n_missing, position = topic.n_missing, topic.missing_from or self._findings.position
         topic.n_missing, topic.missing_from = 0, None
         gap_size = n_missing if gap is None else gap
@@ -211,7 +211,7 @@ class CompletenessCheck:
         return part is not None and (bool(part.damage) or part.end_notes.get("reason") == "recovered")
 
     def _check_log_time(self, message: Message, is_repeated: bool, kind: str) -> None:
-        """Check a log time: the publish time, raised to the previous log time if it is shortly before that."""
+        """Report a log time that is neither the publish time nor, if that is slightly earlier, the previous one."""
         previous, self._log_time = self._log_time, message.log_time
         if is_repeated:
             expected = self._open_time
@@ -234,5 +234,5 @@ class CompletenessCheck:
 
 
 def _parse_count(text: str) -> int | None:
-    """Return a count of an end record; None if the text is not a count."""
+    """Return the count that a text of an end record holds; None if it is no count."""
     return int(text) if text.isascii() and text.isdecimal() and len(text) < _MAX_COUNT_DIGITS else None

@@ -34,7 +34,7 @@ _MAX_LENGTH_RATIO = 20
 
 
 def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], findings: Findings) -> None:
-    """Compare the declarations of a file after it was read.
+    """Compare the message types, encodings and definitions that a file declares with those of the node.
 
     Args:
         part: the file.
@@ -64,7 +64,7 @@ def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], f
 
 
 def _is_same_definition(recorded: bytes, type_name: str) -> bool:
-    """Return True if a definition describes the fields of a standard type, up to comments."""
+    """Return True if a recorded message definition has the fields of a standard type; comments may differ."""
     expected = describe(type_name).definition
     if recorded == expected.encode():
         return True

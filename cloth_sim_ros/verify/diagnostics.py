@@ -43,7 +43,7 @@ _MAX_EDGES = 400_000
 
 
 class DiagnosticsCheck:
-    """Compares the diagnostics of one node.
+    """Compares the recorded diagnostics of one node with the re-run.
 
     Args:
         node: resolved name of the node.
@@ -60,7 +60,7 @@ class DiagnosticsCheck:
         self._last = b""
 
     def observe_frame(self, frame: Frame, simulation: Simulation) -> None:
-        """Update the state with a frame of the re-run."""
+        """Update step control's report and the set of stopped bodies with a frame of the re-run."""
         self._advance = frame.advance or self._advance
         if any(isinstance(event, Reset) for event in frame.events):
             self._stopped = set()
@@ -75,11 +75,11 @@ class DiagnosticsCheck:
         self._stopped |= set(frame.stopped)
 
     def next_file(self) -> None:
-        """Continue from a snapshot: the energy sums restart."""
+        """Begin another file of the session, in which the energy sums restart."""
         self._from_start = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
-        """Compare diagnostics with the simulation after the last frame."""
+        """Compare a diagnostics message with the simulation after the last frame."""
         try:
             content = decode(message.data, TYPE)
         except SessionError as error:
@@ -188,7 +188,7 @@ class DiagnosticsCheck:
 
 
 class _StrainGauge:
-    """Largest strain of a cloth's edges."""
+    """Measures the largest strain of a cloth's edges."""
 
     def __init__(self, scene: Scene) -> None:
         triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()
@@ -198,7 +198,7 @@ class _StrainGauge:
         self._edges, self._lengths = edges[lengths > 0.0].T, lengths[lengths > 0.0]
 
     def largest(self, x: Array) -> float | None:
-        """Return the largest relative elongation at x [m], shape (3, n); None if the node does not measure it."""
+        """Return the largest strain of an edge at x [m], shape (3, n); None if the node does not measure this mesh."""
         if not 0 < len(self._lengths) <= _MAX_EDGES:
             return None
         edge_lengths = np.linalg.norm(x[:, self._edges[0]] - x[:, self._edges[1]], axis=0)

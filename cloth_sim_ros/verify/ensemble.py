@@ -44,7 +44,7 @@ class _Step(NamedTuple):
 
 
 class EnsembleCheck:
-    """Compares the clouds of one node's ensemble with members that run again.
+    """Compares the recorded clouds of a node's ensemble with members that run again.
 
     Args:
         node: resolved name of the node.
@@ -61,27 +61,27 @@ class EnsembleCheck:
         self._is_known = False
 
     def begin(self, *, continues: bool) -> None:
-        """Begin a file; `continues`: True if its first frame follows the last one."""
+        """Begin a file; `continues`: True if its first frame follows the last one of the previous file."""
         if not continues:
             self.close()
             self._steps.clear()
             self._is_known = False
 
     def before_frame(self, simulation: Simulation, record: FrameRecord) -> None:
-        """Keep scene and state before a frame with which the members start."""
+        """Store scene and state before a frame at which, by its record, the ensemble starts."""
         is_start = record.extras.get(ENTRY) == START
         self._before = (simulation.scene, simulation.state.shallow_copy()) if is_start else None
         self._is_known = self._is_known or is_start
 
     def observe_frame(self, frame: Frame, stamp: int) -> None:
-        """Add a frame that was due at a ROS time [ns]."""
+        """Queue a frame of the re-run, due at a ROS time `stamp` [ns], for the members."""
         if len(self._steps) >= _MAX_WAITING:
             self.begin(continues=False)
         if self._is_known and (frame.moved or frame.events):
             self._steps.append(_Step(stamp, frame.events, self._before))
 
     def compare(self, message: Message) -> None:
-        """Compare a cloud with the members at the frame with its stamp."""
+        """Advance the members to the frame with a cloud's stamp; compare the cloud with their mean and deviation."""
         self._count_gap(message)
         self._completeness.add(message, is_from_node=True)
         if not self._is_known:
@@ -105,12 +105,12 @@ class EnsembleCheck:
             self._findings.difference(_KIND, f"its ensemble cannot be read: {error}")
 
     def end(self) -> None:
-        """End the session."""
+        """End the session: report frames without a cloud, and close the members."""
         self._list_left_out(len(self._steps))
         self.close()
 
     def close(self) -> None:
-        """End the members."""
+        """Close the ensemble's members."""
         if self._ensemble is not None:
             self._ensemble.close()
             self._ensemble = None
@@ -145,7 +145,7 @@ class EnsembleCheck:
         self._encoder = CloudEncoder(frame_id=scene.frame_id, height=height, width=width, deviation=True)
 
     def _count_gap(self, message: Message) -> None:
-        """Count the messages before one that the recorder dropped, by its number."""
+        """Count the clouds that the recorder dropped before this one, by the sequence numbers."""
         last = self._completeness.last(self.topic)
         gap = message.sequence - last.sequence - 1 if last is not None else 0
         for _ in range(gap if 0 < gap < _MAX_GAP else 0):

@@ -22,7 +22,7 @@ _TF = "/tf"
 
 
 class FrameOutputCheck:
-    """Compares the messages of one file's frames with the re-run.
+    """Compares the clouds, wrenches, states, markers and transforms of one file's frames with the re-run.
 
     Args:
         node: resolved name of the node.
@@ -118,7 +118,7 @@ class FrameOutputCheck:
             self._expected.append(_TF)
 
     def compare(self, message: Message, *, is_opening: bool) -> bool | None:
-        """Compare a message.
+        """Compare a message of a frame, or of the file's opening, with the re-run.
 
         Args:
             message: a message of a compared topic.
@@ -144,7 +144,7 @@ class FrameOutputCheck:
         return self._compare_output(message)
 
     def close_frame(self) -> None:
-        """End a frame: count its missing messages."""
+        """End a frame: report the messages that it lacks."""
         if self._frame is None:
             return
         for topic in self._expected:
@@ -156,7 +156,7 @@ class FrameOutputCheck:
         self._frame = None
 
     def finish(self) -> None:
-        """End a file with frames: it must begin with the topology, and a node's file with all latched topics."""
+        """End a file; report latched topics, such as the topology, with which it must begin but does not."""
         required = [self._topology]
         if self._part.index == 0 and "dropped" in self._part.end_notes:
             # The node's recorder counts dropped messages; other writers of sessions send no states.

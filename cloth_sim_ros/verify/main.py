@@ -41,7 +41,7 @@ _SEVERITY = (SAME, OTHER_ARITHMETIC, BOUND_VIOLATED, DIFFERENT, UNREADABLE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status."""
+    """Run `cloth_verify`: verify sessions and bags, print verdicts; return the exit status."""
     escape_unencodable()
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
@@ -101,13 +101,13 @@ def _add_accuracy(parser: argparse.ArgumentParser) -> None:
 
 
 def _outputs(options: argparse.Namespace) -> dict[str, Path]:
-    """Return the output files by option."""
+    """Return the paths of the requested output files, by option."""
     paths = {f"--{name}": getattr(options, name) for name in ("json", "plot", "particles")}
     return {option: path for option, path in paths.items() if path is not None}
 
 
 def _check_accuracy(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Check the options of the accuracy before any work: the measurement may take hours."""
+    """Refuse invalid options of the accuracy before any work: the measurement may take hours."""
     outputs = _outputs(options)
     if outputs and not options.accuracy:
         parser.error(f"{next(iter(outputs))} needs --accuracy")
@@ -126,7 +126,7 @@ def _check_one_session(parser: argparse.ArgumentParser, options: argparse.Namesp
 
 
 def status_of(verdict: Verdict) -> int:
-    """Return the exit status of a verdict without a certificate."""
+    """Return the exit status for a verdict: same, different, other arithmetic, or unreadable."""
     if verdict.damaged or not verdict.frames:
         return UNREADABLE
     if verdict.same:
@@ -191,7 +191,7 @@ def format_omissions(verdict: Verdict) -> list[str]:
 
 
 def _format_other_kinds(verdict: Verdict) -> str:
-    """Format the counts of the other kinds of equal messages."""
+    """Format the numbers of compared messages other than clouds, as the end of a sentence."""
     counts = format_counts({kind: count for kind, count in verdict.compared.items() if kind != "cloud"})
     return f", and so did {', '.join(counts)}" if counts else ""
 
@@ -256,7 +256,7 @@ def _write_certificate(certificate: Certificate, verdict: Verdict, options: argp
 
 
 def _frames_in(paths: Sequence[Path]) -> int | None:
-    """Return the number of frames by the files' indexes; None if a file has none."""
+    """Return the number of frames of a session by the indexes of its files; None if a file has none."""
     count = 0
     with SessionReader(list(paths)) as reader:
         for part in reader.parts:

@@ -37,7 +37,7 @@ _MARKED_SECOND, _MARKED_POSITION = 0x5AC3_0000, 1.2345e222
 
 
 class MarkerCheck:
-    """Compares markers. A node sends them when an obstacle has moved or was added or removed.
+    """Compares the recorded markers of obstacles and pads with the re-run.
 
     Args:
         node: resolved name of the node.
@@ -64,7 +64,7 @@ class MarkerCheck:
         return self._names
 
     def observe_frame(self, simulation: Simulation) -> tuple[bool, bool]:
-        """Update with a frame of the re-run; return True if the obstacles changed, and True if markers are due."""
+        """Update with a frame of the re-run; return two flags: bodies were added or removed, and markers are due."""
         solids, poses = solids_and_poses(simulation.obstacles, simulation.pinching)
         names = [solid.name for solid in solids]
         changed = names != self._names
@@ -77,7 +77,7 @@ class MarkerCheck:
         return changed, moved
 
     def compare(self, message: Message, simulation: Simulation, stamp: int | None, *, changed: bool = False) -> None:
-        """Compare markers with the current obstacles.
+        """Compare a marker message with the current obstacles and pads.
 
         Args:
             message: the markers.
@@ -112,7 +112,7 @@ class MarkerCheck:
             return
         reason = _difference(recorded, decode(layout.encode(self._poses, stamp), MARKERS).markers)
         if not reason:
-            layout.learn_gaps(message.data)
+            layout.learn_padding(message.data)
         if reason == _APPEARANCE and self._findings.verdict.environment:
             self._findings.not_compared(message.topic, "colours, by other code")
         elif reason:
@@ -135,7 +135,7 @@ class MarkerCheck:
 
 
 class _MarkerLayout:
-    """Encoder of visualization_msgs/MarkerArray messages that differ in stamps and poses only."""
+    """Encoder of MarkerArray messages of one set of bodies, which differ in stamps and poses only."""
 
     def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, deleted_names: Sequence[str]) -> None:
         markers = []
@@ -164,7 +164,7 @@ class _MarkerLayout:
             self._pose_offsets.append(start)
 
         #: Padding bytes between fields; a middleware leaves them uninitialised.
-        self._gaps = np.zeros(len(self._data), dtype=np.bool_)
+        self._padding = np.zeros(len(self._data), dtype=np.bool_)
 
     def is_same(self, recorded: bytes, poses: Array, stamp: int) -> bool:
         """Return True if a message equals the markers of `poses` at a ROS time [ns], up to known padding."""
@@ -173,15 +173,15 @@ class _MarkerLayout:
             return True
         if len(recorded) != len(expected):
             return False
-        return not (self._differing_bytes(recorded) & ~self._gaps).any()
+        return not (self._differing_bytes(recorded) & ~self._padding).any()
 
-    def learn_gaps(self, recorded: bytes) -> None:
-        """Learn the padding of a message whose fields equal those of the last `encode`."""
+    def learn_padding(self, recorded: bytes) -> None:
+        """Learn which bytes are padding, from a message whose fields equal those of the last `encode`."""
         if len(recorded) == len(self._data):
             differing = self._differing_bytes(recorded)
             for start in self._pose_offsets:
                 differing[start : start + 56] = False
-            self._gaps |= differing
+            self._padding |= differing
 
     def _differing_bytes(self, recorded: bytes) -> NDArray[np.bool_]:
         return np.frombuffer(recorded, np.uint8) != np.frombuffer(self._data, np.uint8)
@@ -225,7 +225,7 @@ def _difference(recorded: Sequence[Any], expected: Sequence[Any]) -> str:
 
 
 def _components(value: Any) -> NDArray[np.float64]:
-    """Return the numbers of a pose, point or vector."""
+    """Return the numbers of a ROS pose, point or vector as an array."""
     if hasattr(value, "orientation"):
         return np.concatenate([_components(value.position), _components(value.orientation)])
     return np.array([getattr(value, axis) for axis in "xyzw" if hasattr(value, axis)])
@@ -236,7 +236,7 @@ def _coordinates(points: Sequence[Any]) -> list[list[float]]:
 
 
 def _marker_parts(solid: Obstacle) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
-    """Return type, size and points of the markers of an obstacle, and their offsets in its frame [m]."""
+    """Return, for each marker of an obstacle, its type, size and points, and its offset in the obstacle's frame [m]."""
     origin = np.zeros(3)
     if solid.shape == "plane":
         width, height = _PLANE

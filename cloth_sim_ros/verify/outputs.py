@@ -36,7 +36,7 @@ _WRENCH_SIZE = 48
 
 
 def same_bytes(recorded: bytes, expected: bytes) -> bool:
-    """Return True if two messages are equal up to the padding at their ends."""
+    """Return True if two encoded messages are equal up to a few bytes of padding at the end of one."""
     if recorded == expected:
         return True
     short, long = sorted((recorded, expected), key=len)
@@ -56,7 +56,7 @@ def same_content(recorded: bytes, expected: bytes, type_name: str) -> bool:
 
 
 class CloudCheck:
-    """Compares clouds.
+    """Compares recorded clouds, bytes and points, with the re-run.
 
     Args:
         scene: effective when the file was opened.
@@ -106,7 +106,7 @@ class CloudCheck:
         return True
 
     def _is_same(self, recorded: bytes, expected: bytes, start: int) -> bool:
-        """Return True if two clouds are equal up to padding before the points, which begin at offset `start`."""
+        """Return True if two encoded clouds are equal up to padding in their headers. `start`: offset of the points."""
         if same_bytes(recorded, expected):
             return True
         stamp_end = _CDR_HEADER_SIZE + _STAMP_SIZE
@@ -164,7 +164,7 @@ def _differing_particles(recorded: NDArray[np.floating], expected: Array) -> NDA
 
 
 def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int, findings: Findings) -> None:
-    """Compare a recorded wrench with that of the re-run: 6 numbers [N, N m]."""
+    """Compare a recorded wrench with that of the re-run, 6 numbers [N, N m]; report a difference."""
     expected = messages.wrench_bytes(wrench, frame_id=frame_id, stamp=stamp)
     # Layout after the stamp: length and text of the frame_id, padding, numbers.
     name_end = _CDR_HEADER_SIZE + _STAMP_SIZE + 4 + len(frame_id.encode()) + 1
@@ -187,12 +187,12 @@ def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int
 
 
 def is_topology_of(message: Message, scene: Scene) -> bool:
-    """Return True if a recorded topology is that of a scene."""
+    """Return True if a recorded topology has the triangles and the rest shape of a scene."""
     return same_bytes(message.data, messages.mesh_bytes(scene.sheet.triangles(), scene.sheet.positions()))
 
 
 def compare_topology(message: Message, scene: Scene, findings: Findings) -> None:
-    """Compare the recorded triangles and rest shape with the scene's."""
+    """Compare recorded triangles and rest shape with the scene's; report a difference."""
     triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()
     if is_topology_of(message, scene):
         return
@@ -213,7 +213,7 @@ def compare_topology(message: Message, scene: Scene, findings: Findings) -> None
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:
-    """Compare recorded transforms: of the cloth's centre of mass, each placed gripper and each camera without TF."""
+    """Compare recorded transforms, of the centre of mass, grippers with a pose and cameras, with the re-run."""
     frames = _transforms(node.strip("/"), simulation)
     parent = simulation.scene.frame_id
     if same_bytes(message.data, messages.transforms_bytes(frames, frame_id=parent, stamp=stamp)):
@@ -257,7 +257,7 @@ def _transforms(prefix: str, simulation: Simulation) -> list[tuple[str, Sequence
 
 
 def _header_difference(header: object, frame_id: str, stamp: int) -> str:
-    """Return the wrong part of a header, as text; empty if none."""
+    """Return the difference in a message's header, stamp or frame_id, as text; empty if none."""
     time = header.stamp  # type: ignore[attr-defined]
     recorded_stamp = time.sec * 10**9 + time.nanosec
     if recorded_stamp != stamp:

@@ -39,7 +39,7 @@ UNIT_ROUNDOFF = 2.0**-53
 
 
 class MotionState(NamedTuple):
-    """State of a motion at one time."""
+    """Positions, velocities and state memory of a motion at one time."""
 
     #: Positions [m] and velocities [m/s], shape (3, n) each.
     x: Array
@@ -50,12 +50,12 @@ class MotionState(NamedTuple):
 
 @lru_cache(maxsize=16)
 def rounding_amplification(counts: tuple[int, ...]) -> float:
-    """Return the amplification of rounding by an extrapolation: the sum of |w| over its weights."""
+    """Return the factor by which extrapolation amplifies rounding errors: the sum of its |weights|."""
     return sum(abs(weight) for weight in weights(counts))
 
 
 class ReferenceIntegrator:
-    """Integrates frames in intervals, with the estimated error below a rate.
+    """Integrates frames by extrapolated leapfrog, with an estimated error below `rate` per second.
 
     Args:
         rate: error per second of simulated time [m/s].
@@ -68,7 +68,7 @@ class ReferenceIntegrator:
     def integrate_frame(
         self, plan: Plan, t: float, duration: float, start: MotionState, step: float
     ) -> tuple[MotionState, list[float]]:
-        """Integrate a frame.
+        """Integrate a frame in intervals of controlled length; return the end state and the lengths [s].
 
         Args:
             plan: equations of motion.
@@ -124,7 +124,7 @@ class ReferenceIntegrator:
 def integrate_intervals(
     plan: Plan, t: float, lengths: Sequence[float], start: MotionState, counts: tuple[int, ...] = STEP_COUNTS
 ) -> MotionState:
-    """Integrate the same intervals from another start, or with other step counts."""
+    """Integrate intervals of given lengths [s], from another start or with other step counts."""
     state = start
     for length in lengths:
         state, t = _extrapolate(plan, t, length, state, counts)[0], t + length
@@ -134,7 +134,7 @@ def integrate_intervals(
 def _extrapolate(
     plan: Plan, t: float, length: float, start: MotionState, counts: tuple[int, ...]
 ) -> tuple[MotionState, list[Run], RunSummary]:
-    """Integrate an interval with several step counts; return the extrapolated state, the runs, and their summary."""
+    """Integrate an interval by leapfrog runs of several step counts; return extrapolated state, runs and summary."""
     memory = start.memory
     runs, result = plan.runs(t, length, (start.x, start.v), counts, weights=weights(counts), memory=memory)
     assert result is not None

@@ -24,7 +24,7 @@ from cloth_sim_ros.verify.reference_integrator import MotionState
 
 @attrs.frozen(eq=False, kw_only=True)
 class SimulatedFrame:
-    """A frame of the simulation with its commands and states."""
+    """A frame of the simulation, with its commands and the states before and after it."""
 
     index: int
     #: Time at its start, and its length [s].
@@ -49,7 +49,7 @@ class SimulatedFrame:
 
 
 class FrameCapture:
-    """Captures the frames of a simulation for reference motions."""
+    """Captures the frames of a simulation, so that reference motions follow the same commands."""
 
     def __init__(self) -> None:
         self._new: frozenset[int] = frozenset()
@@ -58,7 +58,7 @@ class FrameCapture:
     def capture(
         self, simulation: Simulation, scene_before: Scene, state_before: State, frame: Frame
     ) -> SimulatedFrame | None:
-        """Return the last frame of the simulation, given scene and state before it; None if no time passed."""
+        """Return the last frame of the simulation as a `SimulatedFrame`; None if no time passed."""
         names = simulation.grippers.names
         if any(isinstance(event, Reset) for event in frame.events):
             self._reset, self._new = True, frozenset()
@@ -89,14 +89,14 @@ class FrameCapture:
 
 
 class Equations:
-    """Separate plan for the scene of the current frame."""
+    """Equations of motion for reference motions: a plan that is compiled when the scene changes."""
 
     def __init__(self) -> None:
         self._scene: Scene | None = None
         self._plan: Plan | None = None
 
     def plan(self, frame: SimulatedFrame, motion: ReferenceMotion) -> Plan:
-        """Return the plan for a frame, with the grips of one motion."""
+        """Return the plan of a frame's scene and commands, with the grip points of one reference motion."""
         if self._plan is None or self._scene is not frame.scene:
             self._scene, self._plan = frame.scene, frame.scene.plan()
         grips, contact = frame.controls
@@ -140,7 +140,7 @@ class ReferenceMotion:
         return np.ascontiguousarray(np.concatenate([np.empty((0, 3)), *self._offsets]))
 
     def apply_grasps(self, frame: SimulatedFrame) -> None:
-        """Grasp and release like the simulation at the frame's beginning; keep the anchors of its obstacles.
+        """Grasp and release the same particles as the simulation at a frame's beginning.
 
         Contacts get the simulation's thickness.
         """
@@ -179,6 +179,6 @@ def starting_state(frame: SimulatedFrame) -> State:
 
 
 def apply_grasps(motions: Iterable[ReferenceMotion], frame: SimulatedFrame) -> None:
-    """Grasp and release in several motions like the simulation."""
+    """Grasp and release the same particles as the simulation in several reference motions."""
     for motion in motions:
         motion.apply_grasps(frame)

@@ -41,7 +41,7 @@ _N_PARTS = 8
 
 @attrs.frozen(eq=False, kw_only=True)
 class ReferenceResult:
-    """Reference solution at the end of a frame, and its uncertainty."""
+    """Reference positions at the end of a frame, with uncertainty and amplification."""
 
     #: Positions [m], shape (3, n).
     x: Array
@@ -54,7 +54,7 @@ class ReferenceResult:
 
 
 class ReferenceSolution:
-    """Reference solution, its check, and perturbed copies, all from one state.
+    """Reference motion, a check with other step counts, and perturbed copies, all from one state.
 
     Args:
         state: initial state.
@@ -70,7 +70,7 @@ class ReferenceSolution:
         self._integrator = ReferenceIntegrator(0.0)
 
     def advance(self, equations: Equations, frame: SimulatedFrame) -> ReferenceResult:
-        """Advance by a frame."""
+        """Advance by a frame; return reference positions, their uncertainty and the amplification."""
         solution, check, perturbed = self._solution, self._check, self._perturbed
         apply_grasps([solution, check, *perturbed], frame)
         plan = equations.plan(frame, solution)
@@ -111,7 +111,7 @@ def reference_error_rate(tolerance: float | None) -> float:
 
 
 def random_perturbation(x: Array, free: np.ndarray, random: np.random.Generator, *, smooth: bool) -> Array:
-    """Return a perturbation, shape (3, n), with maximum norm `PERTURBATION`.
+    """Return displacements of free particles, shape (3, n), the largest of length `PERTURBATION` [m].
 
     A smooth one excites slow modes of the whole sheet; independent ones of each particle excite fast local modes.
     """
@@ -130,7 +130,7 @@ def random_perturbation(x: Array, free: np.ndarray, random: np.random.Generator,
 
 
 def reference_positions(equations: Equations, frame: SimulatedFrame, state: State) -> Array:
-    """Return the reference positions (3, n) [m] at a frame's end from a state at its beginning."""
+    """Return positions (3, n) [m] at a frame's end, by the reference integrator from a state at its beginning."""
     motion = ReferenceMotion(state)
     motion.apply_grasps(frame)
     plan = equations.plan(frame, motion)
@@ -140,7 +140,7 @@ def reference_positions(equations: Equations, frame: SimulatedFrame, state: Stat
 
 
 def later_amplification(equations: Equations, frames: Sequence[SimulatedFrame]) -> float:
-    """Return the maximum amplification of perturbations made within a window, up to any later frame of it.
+    """Return the largest amplification of perturbations that begin within a window, up to any later frame of it.
 
     A motion may damp a perturbation at the window's beginning and amplify a later one: a strip falls, then buckles.
     """

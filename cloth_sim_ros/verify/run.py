@@ -46,7 +46,7 @@ _DIAGNOSTICS_WITHIN = 10.0
 
 
 class RunObserver(Protocol):
-    """Observer of a re-run."""
+    """Observer of a session's re-run, frame by frame."""
 
     def frame(
         self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
@@ -66,7 +66,7 @@ def verify(
     on_progress: Callable[[int], None] = lambda _bytes: None,
     observer: RunObserver | None = None,
 ) -> Verdict:
-    """Run a session again and compare it with the recording.
+    """Run a session again and compare each message with the recording; return the verdict.
 
     Args:
         paths: the files of one session, in order.
@@ -103,7 +103,7 @@ def verify(
 
 
 class _SessionRun:
-    """Re-run of a session, file by file."""
+    """Re-run of a session and comparison of its messages, file by file."""
 
     def __init__(self, node: str, findings: Findings, observer: RunObserver | None) -> None:
         self._node, self._findings, self._observer = node, findings, observer
@@ -120,7 +120,7 @@ class _SessionRun:
         self._diagnostics: DiagnosticsCheck | None = None
 
     def begin(self, part: SessionPart) -> None:
-        """Begin a file, from its opening snapshot."""
+        """Begin a file: build the simulation and the checks from its opening snapshot."""
         self._part = part
         self.simulation = simulation = _simulation(part)
         scene, from_start = simulation.scene, simulation.frame == 0
@@ -172,7 +172,7 @@ class _SessionRun:
         return True
 
     def finish(self, *, whole: bool) -> None:
-        """End a file. `whole`: True if it was read to its end."""
+        """End a file: report missing messages. `whole`: True if it was read to its end."""
         self._frame_outputs.close_frame()
         self._close_frame()
         if self._verdict.frames > self._frames_before:
@@ -185,7 +185,7 @@ class _SessionRun:
         self._previous = self.simulation
 
     def end(self) -> None:
-        """End the session."""
+        """End the session: report topics and commands that are missing in it."""
         assert self._commands is not None
         part, position = self._part, self._findings.position
         is_clean = part.at_end and part.end_notes.get("reason") in _CLEAN_END_REASONS

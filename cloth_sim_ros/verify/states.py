@@ -23,7 +23,7 @@ _OK, _WARN = 0, 1
 
 
 class StateCheck:
-    """Compares `~/state`: active while time passes, otherwise inactive.
+    """Compares the node's `~/state` with the re-run: active while time passes, otherwise inactive.
 
     Args:
         findings: collects the differences.
@@ -38,7 +38,7 @@ class StateCheck:
         self._is_explained = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
-        """Compare a message on ~/state with the pause of the preceding frame."""
+        """Compare a message on `~/state` with the pause of the simulation at the last frame."""
         try:
             content = decode(message.data, STATE)
         except SessionError as error:
@@ -61,14 +61,14 @@ class StateCheck:
         self._is_older = True
 
     def is_due(self, simulation: Simulation) -> bool:
-        """Return True if the last state contradicts the last frame: another state must follow."""
+        """Return True if the node must have sent another state, because the last one contradicts the last frame."""
         if simulation.paused:
             return self._last == _ACTIVE
         return self._last == _INACTIVE and (self._is_explained or self._is_older)
 
 
 class GripperStateCheck:
-    """Compares `~/<gripper>/state`: open or closed, and the number of grasped particles.
+    """Compares `~/<gripper>/state` with the re-run: open or closed, and the number of grasped particles.
 
     Args:
         node: resolved name of the node.
@@ -80,7 +80,7 @@ class GripperStateCheck:
 
     @staticmethod
     def expected_reasons(frame: Frame, simulation: Simulation) -> dict[str, str]:
-        """Return the grippers whose state is due at a frame, each with the reason of a failed grasp."""
+        """Return the reason of a failed grasp, or "", by name of the grippers whose state a frame must send."""
         if not frame.events and not frame.pinches:
             return {}
         changed = {grasp.gripper: grasp.reason for grasp in (*frame.grasps, *frame.pinches) if not grasp.pending}
@@ -89,7 +89,7 @@ class GripperStateCheck:
         return changed
 
     def compare(self, message: Message, name: str, reason: str, simulation: Simulation) -> None:
-        """Compare the state of a gripper after the last frame."""
+        """Compare the recorded state of a gripper with the simulation after the last frame."""
         recorded = self._read(message, name)
         if recorded is None:
             return
@@ -107,7 +107,7 @@ class GripperStateCheck:
             self._findings.difference("gripper state", text, rounding=rounding)
 
     def compare_older(self, message: Message, name: str, simulation: Simulation) -> None:
-        """Compare a state from before the beginning of the file, as far as it must still hold."""
+        """Compare a gripper's state from before the beginning of the file, as far as it must still hold."""
         recorded = self._read(message, name)
         if recorded is None:
             return

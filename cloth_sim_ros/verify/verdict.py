@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 @dataclass(kw_only=True)
 class Verdict:
-    """Result of the re-run of a session."""
+    """Result of a re-run: counts of compared and differing messages, and the first difference."""
 
     name: str
     """Names of the session's files."""
@@ -51,7 +51,7 @@ class Verdict:
 
     @property
     def clouds(self) -> int:
-        """Number of compared clouds."""
+        """Number of clouds that were compared."""
         return self.compared["cloud"]
 
     @property
@@ -62,7 +62,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, order=True)
 class FramePosition:
-    """Position of a frame record in the session."""
+    """Position of a frame record in the session: its ordinal, frame index and time."""
 
     ordinal: int
     """Number of preceding frame records."""
@@ -72,7 +72,7 @@ class FramePosition:
 
 
 class Findings:
-    """Adds findings, in any order, to a verdict.
+    """Collects the findings of several checks, in any order, in a verdict.
 
     Args:
         verdict: the verdict.
@@ -86,11 +86,11 @@ class Findings:
         self._different: set[int] = set()
 
     def compared(self, kind: str, count: int = 1) -> None:
-        """Count compared messages."""
+        """Count compared messages of a kind."""
         self.verdict.compared[kind] += count
 
     def not_compared(self, topic: str, reason: str, count: int = 1) -> None:
-        """Count messages that were not compared."""
+        """Count messages of a topic that were not compared, by reason."""
         self.verdict.not_compared[topic, reason] += count
 
     def absent(self, topic: str) -> None:
@@ -99,14 +99,14 @@ class Findings:
             self.verdict.absent.append(topic)
 
     def missing(self, sentence: str) -> None:
-        """Add a deficit of the session, once."""
+        """Add a deficit of the session, a sentence, once."""
         if sentence not in self.verdict.missing:
             self.verdict.missing.append(sentence)
 
     def difference(
         self, kind: str, reason: str, *, position: FramePosition | None = None, rounding: bool = False, count: int = 1
     ) -> None:
-        """Add a difference.
+        """Count differing messages of a kind; the first difference in the order of the session is described.
 
         Args:
             kind: kind of message; a frame record is of kind "frame".

@@ -82,7 +82,7 @@ def build_obstacles(scene: Scene, state: State) -> Obstacles | None:
 
 
 def build_joints(scene: Scene, model: Model, state: State) -> ObstacleJoints | None:
-    """Return the joints between particles and the present obstacles; None without any.
+    """Return the spring joints between particles and the present obstacles; None without any.
 
     Raises:
         ValueError: for a state with another number of joints.
@@ -125,7 +125,7 @@ def plan_controls(
     joints: ObstacleJoints | None,
     t: float,
 ) -> tuple[Controls, float]:
-    """Plan the paths of grippers, obstacles and pads over the frame that starts at time t [s].
+    """Move the bodies over the frame from time t [s] on; return controls and largest change of displacement [m].
 
     Returns:
         Controls of the frame, and the largest change of displacement from the frame before to this one, along an axis
@@ -216,7 +216,7 @@ def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, dur
 
 
 def _prescribed_positions(plan: Plan, state: State, t: float) -> Array:
-    """Return the positions of a state with prescribed particles at their points at time t [s], shape (3, n) [m]."""
+    """Return a state's positions, with prescribed particles at their grippers' points at time t [s], (3, n) [m]."""
     positions, unused = state.x.copy(), state.v.copy()
     plan.prescribe(t, positions, unused)
     return positions
@@ -233,7 +233,7 @@ def _min_gap_of(plan: Plan, t: float, state: State, points: Array) -> float:
 
 
 def stop_bodies(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:
-    """Stop bodies that can crush the cloth at their present poses until their next targets.
+    """Hold bodies that can crush the cloth at their poses until their next targets; return names of moving ones.
 
     They are obstacles, pinching grippers, and grippers that prescribe the motion of particles.
 
@@ -249,7 +249,7 @@ def frame_wrenches(
     pinching: ParallelGrippers | None,
     joints: ObstacleJoints | None,
 ) -> tuple[Array, Array]:
-    """Return the wrenches of the cloth on grippers and on obstacles in a frame; zeros without an accumulator."""
+    """Return the wrenches of the cloth on grippers and obstacles in a frame, 6 numbers each; zeros if not recorded."""
     wrenches = accumulator.wrenches if accumulator else np.zeros((plan.gripper_count, 6))
     obstacle_wrenches = accumulator.obstacle_wrenches if accumulator else np.zeros((plan.obstacle_count, 6))
     if joints is not None:
@@ -258,7 +258,7 @@ def frame_wrenches(
 
 
 def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | None) -> tuple[list[Obstacle], Array]:
-    """Return the bodies in contact, obstacles and then pads of placed grippers, and their poses.
+    """Return the bodies in contact, obstacles and then pads of grippers that have a pose, and their poses.
 
     Returns:
         Bodies, and poses: position [m] and quaternion x, y, z, w, shape (count, 7).
@@ -273,7 +273,7 @@ def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | N
 
 
 def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> None:
-    """Replace obstacles, friction anchors and contact thickness in states by those of another scene.
+    """Adapt the obstacles, friction anchors and contact thickness of states to another scene.
 
     A scene without friction of bending has no plastic lengths.
     """
@@ -314,7 +314,7 @@ def carry_over_thickness(thickness: Array, before: Scene, scene: Scene) -> Array
 
 
 def carry_over_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
-    """Return the friction anchors after a change of scene, or None if no body has friction.
+    """Return the friction anchors after a change of scene, or None if no contact has friction.
 
     Remaining obstacles keep their anchors, and new ones have none. If friction returns later, anchors start empty.
     """

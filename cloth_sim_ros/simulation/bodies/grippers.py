@@ -35,7 +35,7 @@ _ROUNDING_MARGIN = 1.0 + 1e-9
 
 @attrs.frozen
 class GraspResult:
-    """Result of closing or opening a gripper."""
+    """Result of closing or opening a gripper: number of grasped particles, or the reason for none."""
 
     gripper: str
     closed: bool
@@ -50,7 +50,7 @@ class GraspResult:
 
 
 class Grippers:
-    """Grippers of one simulation. Everything that changes is in ``state.memory``.
+    """Grippers of one simulation: poses, targets and grasped particles, all kept in ``state.memory``.
 
     Args:
         names: names of the grippers; their order is that of every array.
@@ -115,7 +115,7 @@ class Grippers:
         return self._bodies.is_at_rest
 
     def set_target(self, event: Target) -> bool:
-        """Store a target. Return True for the first one, which places the gripper there at once."""
+        """Store a gripper's target. Return True for its first one, which places the gripper there at once."""
         g = self.names.index(event.gripper)
         target = self._bodies.set_target(g, event.position, event.orientation)
         is_first = not self._state.memory["gripper.placed"][g]
@@ -125,7 +125,7 @@ class Grippers:
         return is_first
 
     def max_speed(self, index: int, speed_limit: float) -> float:
-        """Return the speed limit in force [m/s], 0 for none. Pads always have one.
+        """Return a gripper's effective speed limit [m/s], 0 for none; a gripper with pads always has one.
 
         Args:
             index: index of the gripper.
@@ -134,7 +134,7 @@ class Grippers:
         return min(speed_limit or MAX_BODY_SPEED, MAX_BODY_SPEED) if index in self.pad_reaches else speed_limit
 
     def hold_position(self, among: Collection[int] | None = None) -> list[str]:
-        """Hold the present poses of some grippers until their next targets; return the names of those that moved.
+        """Hold the present poses of some grippers until their next targets; return names of those that were moving.
 
         Args:
             among: their indices; by default those that can crush the cloth: pinching grippers, and those that prescribe
@@ -202,7 +202,7 @@ class Grippers:
         return particles
 
     def attach(self, name: str, particles: NDArray[np.int64]) -> None:
-        """Close a placed gripper and attach particles at their present positions."""
+        """Close a gripper that has a pose, and attach particles to it at their present positions."""
         g = self.names.index(name)
         writable(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
@@ -237,7 +237,7 @@ class Grippers:
         damping: float,
         speeds: Sequence[float],
     ) -> tuple[GripControls, float]:
-        """Plan each gripper's path over a frame.
+        """Move each gripper over a frame; return the controls of grips and the largest change of displacement [m].
 
         Args:
             present: grasped particles of the frame before.

@@ -20,7 +20,7 @@ from cloth_sim_ros.scene.scene import Scene
 
 
 class ObstacleJoints:
-    """Joints between particles and the present obstacles.
+    """Spring joints (S4) between particles and the present obstacles.
 
     Args:
         scene: gives the joints, at least one.
@@ -48,7 +48,7 @@ class ObstacleJoints:
         return present.source[0] if present is self._grasps else present
 
     def extend(self, grips: GripControls, obstacle_paths: Array) -> GripControls:
-        """Return the controls of grippers with those of the joints behind them.
+        """Return the controls of grippers, followed by those of the joints to obstacles, as further grips.
 
         Args:
             grips: controls of the grippers.
@@ -68,7 +68,7 @@ class ObstacleJoints:
         return GripControls(np.concatenate([grips.paths, obstacle_paths[self.obstacles]]), extended)
 
     def move_wrenches(self, grip_wrenches: Array, obstacle_wrenches: Array) -> tuple[Array, Array]:
-        """Return wrenches of grippers, and those of obstacles with their joints' added.
+        """Add the wrenches of joints to those of their obstacles; return the wrenches on grippers and on obstacles.
 
         Args:
             grip_wrenches: wrenches on grippers and then on joined obstacles, shape (grippers + joined obstacles, 6).
@@ -81,7 +81,7 @@ class ObstacleJoints:
 
 
 def _with_joints(prescribed: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_] | None:
-    """Return the flags of prescribed particles with those of a number of joints, which are springs, behind them."""
+    """Return the flags of prescribed particles, followed by False for each of `count` joints, which are springs."""
     return None if prescribed is None else np.concatenate([prescribed, np.zeros(count, dtype=np.bool_)])
 
 

@@ -58,7 +58,7 @@ def clamp_motion(pose: Sequence[float], target: Sequence[float], reach: float, m
 
 
 def travel(pose: Sequence[float], target: Sequence[float], reach: float) -> float:
-    """Return the largest distance [m] that a point within `reach` [m] of the origin moves from a pose to a target."""
+    """Return an upper bound [m] of the path of points within `reach` [m] of the origin from a pose to a target."""
     displacement = [target[i] - pose[i] for i in range(3)]
     # The rotation costs a call of the engine; a body without extent needs none.
     return _length(displacement) + (reach * _length(rotation_vector(pose[3:], target[3:])) if reach else 0.0)
@@ -70,7 +70,7 @@ def _length(vector: Sequence[float]) -> float:
 
 
 class KinematicBodies:
-    """Poses, twists and targets of several bodies. Everything that changes is in ``state.memory``.
+    """Poses, twists and targets of several bodies that commands move, all kept in ``state.memory``.
 
     Args:
         kind: prefix of the arrays' names, e.g. ``gripper``.
@@ -122,7 +122,7 @@ class KinematicBodies:
         target[indices, 3:] = poses[:, 3:] / np.sqrt(x * x + y * y + z * z + w * w)[:, None]
 
     def hold_position(self, indices: Sequence[int]) -> list[int]:
-        """Hold the present poses of some bodies until their next targets; return the indices of those that moved."""
+        """Hold the present poses of some bodies until their next targets; return indices of those that were moving."""
         is_moving = (self.array("pose") != self.array("target")).any(axis=1) | self.array("twist").any(axis=1)
         moving = [k for k in indices if is_moving[k]]
         if moving:
@@ -132,7 +132,7 @@ class KinematicBodies:
         return moving
 
     def paths(self, t: float, duration: float, end_pose: EndPose | None = None) -> tuple[Array, list[float]]:
-        """Move each body over a frame.
+        """Move each body over a frame; return paths, (count, PATH_NUMBERS), and changes of displacement [m].
 
         Args:
             t: time at which the frame starts [s].

@@ -36,7 +36,7 @@ _KIND = "obstacle"
 
 
 class Obstacles:
-    """Obstacles of one simulation. Everything that changes is in ``state.memory``.
+    """Obstacles of one simulation: their shapes, and poses and targets, which are kept in ``state.memory``.
 
     Args:
         solids: shapes of the obstacles; their order is that of every array.
@@ -78,19 +78,19 @@ class Obstacles:
         return [self.names[k] for k in np.flatnonzero(is_away).tolist()]
 
     def set_target(self, event: Move) -> None:
-        """Store a target."""
+        """Store the target pose of the obstacle that an event names."""
         self._bodies.set_target(self.names.index(event.obstacle), event.position, event.orientation)
 
     def set_targets(self, event: MoveObstacles) -> None:
-        """Store the targets of several obstacles."""
+        """Store the target poses of the obstacles that an event names."""
         self._bodies.set_targets([self._indices[name] for name in event.obstacles], event.poses)
 
     def hold_position(self) -> list[str]:
-        """Hold the present poses until the next targets; return the names of the obstacles that moved."""
+        """Hold the present poses until the next targets; return the names of the obstacles that were moving."""
         return [self.names[k] for k in self._bodies.hold_position(range(len(self.names)))]
 
     def plan_frame(self, t: float, duration: float, thickness: float) -> tuple[Array, float, NDArray[np.bool_] | None]:
-        """Return the paths over a frame that starts at time t [s].
+        """Move the obstacles over a frame; return paths, largest change of displacement [m], and links off the cloth.
 
         Args:
             t: time at which the frame starts [s].
@@ -141,7 +141,7 @@ class Obstacles:
                 )
 
     def _are_away(self, paths: Array, duration: float, distance: float) -> NDArray[np.bool_]:
-        """Return for each obstacle whether it stays further than a distance [m] from the box about the present cloth.
+        """Return a mask of the obstacles that stay further than a distance [m] from the box about the present cloth.
 
         An obstacle moves no further than its path is long.
         """
@@ -211,7 +211,7 @@ def replace_obstacles(
 
 
 def gaps(solid: Obstacle, pose: Array, x: Array, *, max_distance: float = math.inf) -> Array:
-    """Return the distances [m] of particles at x [m], (3, n), from an obstacle's surface, shape (n,); negative inside.
+    """Return distances [m] of particles x (3, n) from an obstacle, negative inside; lower bounds above `max_distance`.
 
     Beyond `max_distance` [m] from the bounding sphere the distance from that sphere is returned, a lower bound.
     """

@@ -23,7 +23,7 @@ _REST_FRACTION = 1e-3
 
 
 class ParallelGrippers:
-    """Pads of the pinching grippers of one simulation. Everything that changes is in ``state.memory``.
+    """Pads of the pinching grippers of one simulation; their openings and speeds are kept in ``state.memory``.
 
     Args:
         pads: pads of each pinching gripper; their order is that of every array.
@@ -54,16 +54,16 @@ class ParallelGrippers:
         return np.array(poses)
 
     def placed_pads(self) -> list[int]:
-        """Return the indices of the pads whose gripper is placed."""
+        """Return the indices of the pads whose gripper has a pose, because it has received a target."""
         placed = self._state.memory["gripper.placed"]
         return [2 * k + pad for k, index in enumerate(self._indices) if placed[index] for pad in range(2)]
 
     def rows(self, paths: Array) -> Array:
-        """Return the gripper path of each pad, from the paths of all grippers."""
+        """Return for each pad the path of its gripper, shape (pads, PATH_NUMBERS), from the paths of all grippers."""
         return np.repeat(paths[self._indices], 2, axis=0)
 
     def drive_flags(self) -> NDArray[np.bool_]:
-        """Return for each pinching gripper if it is placed and if it closes, shape (pinching grippers, 2)."""
+        """Return two flags by pinching gripper: it has a pose, and it closes; shape (pinching grippers, 2)."""
         memory = self._state.memory
         return np.stack([memory[name][self._indices] for name in ("gripper.placed", "gripper.closed")], axis=1)
 
@@ -82,11 +82,11 @@ class ParallelGrippers:
 
     @property
     def setpoints(self) -> Array | None:
-        """The setpoints, see `ContactControls.jaw_setpoints`."""
+        """Commanded half opening [m], force [N] and speed [m/s] by gripper, shape (k, 3); None without commands."""
         return self._state.memory.get(SETPOINTS_KEY)
 
     def set_setpoint(self, event: Grasp) -> None:
-        """Store the opening, force and speed of a grasp, or that it has none."""
+        """Store the opening, force and speed that a grasp commands, or that it commands none."""
         if event.opening is None and not event.force and not event.speed and self.setpoints is None:
             return
         self._state.memory.setdefault(SETPOINTS_KEY, np.array([NO_SETPOINT] * len(self.pads)))
@@ -173,8 +173,6 @@ def check_first_pose(jaw: ParallelJaw, pose: Array, state: State) -> Array:
 
 
 def _pad_poses(jaw: ParallelJaw, pose: Array, half_opening: float) -> list[Array]:
-    """Return the poses of both pads of a gripper at a pose; `half_opening`: half the distance between the pads' faces
-    [m].
-    """
+    """Return the poses of both pads of a gripper; `half_opening`: half the distance between their faces [m]."""
     axis, offset = rotation_matrix(pose[3:])[:, 1], half_opening + 0.5 * jaw.size[1]
     return [np.concatenate([pose[:3] + sign * offset * axis, pose[3:]]) for sign in (1.0, -1.0)]
