@@ -235,11 +235,11 @@ private:
         motion.include(from.pose.position);
         return motion.diameter();
     }
-    /// Make the inner list anew, measured at x, with a margin beyond the look-ahead distance.
+    /// Rebuild the inner list, measured at x, with a margin beyond the look-ahead distance.
     void rebuild_inner(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin) {
         inner_margin_left_ = -1.0;
-        const double look_ahead = inner_margin_factor * margin;
-        margin += smaller(larger(look_ahead, min_inner_margin * thickness), max_inner_margin * thickness);
+        const double extra = inner_margin_factor * margin;
+        margin += smaller(larger(extra, min_inner_margin * thickness), max_inner_margin * thickness);
         const double reach = from.features.radius + thickness + margin;
         if (thickness != thickness_ || middle_.reference.positions.empty() ||
             !(margin + motion_since(s, x, from, middle_.reference) <= middle_.margin)) {

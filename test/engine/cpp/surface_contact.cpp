@@ -102,9 +102,9 @@ TEST_CASE("the Verlet lists of moving features are new ones") {
             for (int j = 0; j < 3; ++j) x[k + j] += 0.02 * speed * random.uniform();
         pose.position = pose.position + speed * direction;
         if (step % 60 == 59) {
-            std::vector<double> other = x;
-            for (double& number : other) number += 0.1;
-            REQUIRE(list.find(s, other.data(), {box, pose}, thickness, 0.02));
+            std::vector<double> shifted = x;
+            for (double& coordinate : shifted) coordinate += 0.1;
+            REQUIRE(list.find(s, shifted.data(), {box, pose}, thickness, 0.02));
         }
         MotionBound cloth;
         cloth.include(x.data(), previous_x.data(), s.count);
