@@ -61,6 +61,14 @@ class RobotParameters:
         "Names of links that are fingers: obstacles with gripper.friction, whose joints stop before the fingers press "
         "the cloth without room; none by ['']",
     )
+    pad_gap: float = parameter(
+        "double",
+        1.4,
+        "Distance between closed fingers of one hand at which their joints stop, in units of contact.thickness. A "
+        "shorter one holds the cloth more firmly, and needs shorter steps",
+        min=1.0,
+        max=1.9,
+    )
     friction: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0),

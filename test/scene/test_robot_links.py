@@ -331,8 +331,11 @@ def test_package_of_a_mesh_is_found_by_the_prefix_path(tmp_path: Path, monkeypat
     assert find_file("package://my_robot/meshes/a%20b.stl", Path()) == tmp_path / "share/my_robot/meshes/a b.stl"
 
 
-def test_pads_have_the_friction_of_grippers_and_stop() -> None:
+@pytest.mark.parametrize("gap", [None, 1.0, 1.9])
+def test_pads_have_the_friction_of_grippers_and_stop(gap: float | None) -> None:
     values = {**AT, "robot.pads": ["left_finger", "right_finger"], "gripper.friction": [0.8, 0.7]}
+    if gap is not None:
+        values["robot.pad_gap"] = gap
     scene, links = robot_scene(ARM, {**values, "robot.friction": [0.1]})
     assert scene.described["left_finger"].friction == (0.8, 0.7)
     assert scene.described["hand"].friction == (0.1,)
@@ -343,8 +346,9 @@ def test_pads_have_the_friction_of_grippers_and_stop() -> None:
         stopped = stops.stopped(positions)
         assert stopped[:3].tolist() == positions[:3].tolist()
     # Half the distance between the faces, which are at y = 0 of the closed fingers.
-    assert stopped[3] == pytest.approx(0.5 * scene.contact.thickness, rel=0.05)
-    assert stopped[3] >= 0.5 * scene.contact.thickness
+    half_gap = 0.5 * (gap or 1.4) * scene.contact.thickness
+    assert stopped[3] == pytest.approx(half_gap, rel=0.05)
+    assert stopped[3] >= half_gap
     positions[3] = 0.01
     assert stops.stopped(positions).tolist() == positions.tolist()
 
@@ -410,9 +414,9 @@ def test_pads_stop_at_the_thickness_of_the_present_scene() -> None:
     stops.stopped(np.array([0.0, 0.0, 0.0, 0.03]))
     stops.update(attrs.evolve(scene, contact=attrs.evolve(scene.contact, thickness=0.008)))
     # Within a hundredth of the step.
-    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.004, abs=0.0003)
+    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.7 * 0.008, abs=0.0003)
     stops.update(scene)
-    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.5 * scene.contact.thickness, rel=0.05)
+    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.7 * scene.contact.thickness, rel=0.05)
 
 
 def test_joint_of_several_degrees_of_freedom_is_reported() -> None:

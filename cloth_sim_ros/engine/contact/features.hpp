@@ -94,11 +94,12 @@ struct FeaturePairs : PairLists {
 
     /// Build the list of all pairs within `max_distance` [m], radius included. Positions are quads.
     void build(const Surface& s, const FeaturesAt& from, const double* x, double max_distance) {
-        reach = max_distance;
+        reach = -1.0;  // an exception may end this
         FeaturePairs near;
-        if (!s.triangles.empty() && !from.features.points.empty()) near.find(s, from, Quads{x}, reach);
+        if (!s.triangles.empty() && !from.features.points.empty()) near.find(s, from, Quads{x}, max_distance);
         near.measure(s, from, x);
-        select(near, reach, reach);
+        select(near, max_distance, max_distance);
+        reach = max_distance;
     }
     /// Measure the squared distances of all pairs.
     void measure(const Surface& s, const FeaturesAt& from, const double* x) {
@@ -196,24 +197,25 @@ public:
     /// last call [m]; infinite after any other call.
     bool update(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin,
                 double motion) {
-        const double range = thickness + margin;
+        const double range = thickness + margin, reach = from.features.radius + range;
         if (!(range < 4.0 * s.shortest)) return false;
-        motion_ += motion;
-        if (thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
+        inner_margin_left_ -= motion;
+        if (thickness != thickness_ || !(margin <= inner_margin_left_)) {
             if (!(motion_since(s, x, from, ReferenceState{}) < 1e30)) return false;
-            motion_ = motion_since(s, x, from, inner_.reference);
-            if (thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
-                thickness_ = thickness;
-                rebuild_inner(s, x, from, margin + 0.6 * thickness);
-                motion_ = 0.0;
-            }
+            rebuild_inner(s, x, from, thickness, margin);
+        } else {
+            inner_.measure(s, from, x);
         }
-        inner_.pairs.measure(s, from, x);
-        select(inner_.pairs, from.features.radius + range, from.features.radius + range);
+        select(inner_, reach, reach);
         return true;
     }
 
 private:
+    /// Margin of the inner list beyond the look-ahead distance: a multiple of that, within fractions of the thickness.
+    /// The middle list has a fraction more.
+    static constexpr double inner_margin_factor = 4.0, min_inner_margin = 0.02, max_inner_margin = 0.3,
+                            middle_margin = 0.3;
+
     struct ReferenceState {
         Array<double> positions;
         Pose pose{};
@@ -233,7 +235,24 @@ private:
         motion.include(from.pose.position);
         return motion.diameter();
     }
-    void rebuild_inner(const Surface& s, const double* x, const FeaturesAt& from, double margin) {
+    /// Rebuild the inner list, measured at x, with a margin beyond the look-ahead distance.
+    void rebuild_inner(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin) {
+        inner_margin_left_ = -1.0;
+        const double extra = inner_margin_factor * margin;
+        margin += smaller(larger(extra, min_inner_margin * thickness), max_inner_margin * thickness);
+        const double reach = from.features.radius + thickness + margin;
+        if (thickness != thickness_ || middle_.reference.positions.empty() ||
+            !(margin + motion_since(s, x, from, middle_.reference) <= middle_.margin)) {
+            thickness_ = thickness;
+            rebuild_middle(s, x, from, margin + middle_margin * thickness);
+        } else {
+            middle_.pairs.measure(s, from, x);
+        }
+        inner_.select(middle_.pairs, reach, reach);
+        inner_margin_left_ = margin;
+    }
+    void rebuild_middle(const Surface& s, const double* x, const FeaturesAt& from, double margin) {
+        middle_.margin = -1.0;
         const double range = thickness_ + margin, radius = from.features.radius;
         if (outer_.reference.positions.empty() ||
             !(radius + range + motion_since(s, x, from, outer_.reference) <= outer_.pairs.reach)) {
@@ -243,16 +262,18 @@ private:
         } else {
             outer_.pairs.measure(s, from, x);
         }
-        inner_.pairs.select(outer_.pairs, radius + range, radius + range);
-        store_reference(s, x, from.pose, inner_.reference);
-        inner_.margin = margin;
+        middle_.pairs.select(outer_.pairs, radius + range, radius + range);
+        store_reference(s, x, from.pose, middle_.reference);
+        middle_.margin = margin;
     }
     static void store_reference(const Surface& s, const double* x, const Pose& pose, ReferenceState& reference) {
         reference.positions.assign(x, x + 4 * s.count);
         reference.pose = pose;
     }
-    ListLevel outer_, inner_;
-    double thickness_ = 0.0, motion_ = 0.0;  ///< upper bound since the inner list was built
+    ListLevel outer_, middle_;
+    FeaturePairs inner_;
+    double thickness_ = 0.0;
+    double inner_margin_left_ = -1.0;  ///< lower bound of the inner list's margin beyond the thickness at present
 };
 
 /// The surface of the cloth and the features of each obstacle. `is_active[k]`: whether runs evaluate obstacle k.

@@ -20,19 +20,20 @@ _BISECTIONS = 7
 
 
 class PadStops:
-    """Stops the joints of fingers before their pads come closer than the contact thickness.
+    """Stops the joints of fingers before their pads come closer than `robot.pad_gap` contact thicknesses.
 
-    Two pads are a pair if they belong to one hand and different joints move them. Both sides of a cloth's layer then
-    have half the thickness, and its contact pushes back. Without stops a closed gripper would crush the layer, and all
-    obstacles would stop. Pads of two hands, and of two links of one finger, may come closer.
+    Two pads are a pair if they belong to one hand and different joints move them. Each side of a cloth's layer then has
+    half the gap, and its contact pushes back. Without stops a closed gripper would crush the layer, and all obstacles
+    would stop. Pads of two hands, and of two links of one finger, may come closer.
 
     Args:
-        scene: has the pads as obstacles, `robot.pads` and `contact.thickness`.
+        scene: has the pads as obstacles, `robot.pads`, `robot.pad_gap` and `contact.thickness`.
         links: the links of its robot.
     """
 
     def __init__(self, scene: Scene, links: RobotLinks) -> None:
-        self._links, self._min_gap = links, scene.contact.thickness
+        self._links, self._thickness = links, scene.contact.thickness
+        self._min_gap = scene.robot.pad_gap * self._thickness
         solids = {solid.name: solid for solid in scene.solids}
         pads = [k for k, link in enumerate(links.links) if link in scene.robot.pads and links.names[k] in solids]
         self._solids = {k: solids[links.names[k]] for k in pads}
@@ -58,9 +59,10 @@ class PadStops:
         self._accepted: Array | None = None
 
     def update(self, scene: Scene) -> None:
-        """Use the contact thickness of a changed scene as the smallest gap between pads."""
-        if scene.contact.thickness != self._min_gap:
-            self._min_gap = scene.contact.thickness
+        """Use the contact thickness of a changed scene for the smallest gap between pads."""
+        if scene.contact.thickness != self._thickness:
+            self._thickness = scene.contact.thickness
+            self._min_gap = scene.robot.pad_gap * self._thickness
             self._features = self._features_of_pads()
 
     def stopped(self, positions: Array) -> Array:
@@ -101,7 +103,7 @@ class PadStops:
         return low
 
     def _features_of_pads(self) -> dict[int, ObstacleFeatures]:
-        return {k: obstacle_features(solid, self._min_gap) for k, solid in self._solids.items()}
+        return {k: obstacle_features(solid, self._thickness) for k, solid in self._solids.items()}
 
     def _gap(self, a: int, b: int, poses: Array) -> float:
         """Return the least distance of the points of one pad from the other [m] at poses (count, 7) of the links."""

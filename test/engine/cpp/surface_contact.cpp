@@ -80,6 +80,46 @@ TEST_CASE("the pair lists of features are those of all points and edges") {
         }
 }
 
+TEST_CASE("the Verlet lists of moving features are new ones") {
+    Random random;
+    const Features box = box_features();
+    Sheet sheet(8);
+    sheet.arrange(0, random);
+    const Surface& s = sheet.surface;
+    std::vector<double> x = sheet.x;
+    plan::Pose pose = pose_at_center(random);
+    FeatureVerletList list;
+    FeaturePairs fresh;
+    std::size_t largest = 0;
+    Vec3<double> direction = random.vector();
+    for (int step = 0; step < 600; ++step) {
+        if (step % 100 == 0) direction = -1.0 * direction + 0.2 * random.vector();
+        // Slow and fast motions take turns; so do a thickness and searches from other positions.
+        const double speed = step % 100 < 90 ? 1e-3 : 5e-3, thickness = step < 300 ? 0.05 : 0.06;
+        const std::vector<double> previous_x = x;
+        const plan::Pose previous_pose = pose;
+        for (std::size_t k = 0; k < x.size(); k += 4)
+            for (int j = 0; j < 3; ++j) x[k + j] += 0.02 * speed * random.uniform();
+        pose.position = pose.position + speed * direction;
+        if (step % 60 == 59) {
+            std::vector<double> shifted = x;
+            for (double& coordinate : shifted) coordinate += 0.1;
+            REQUIRE(list.find(s, shifted.data(), {box, pose}, thickness, 0.02));
+        }
+        MotionBound cloth;
+        cloth.include(x.data(), previous_x.data(), s.count);
+        const double motion = max_relative_motion(cloth, box, previous_pose, pose);
+        const FeaturesAt from{box, pose};
+        const double infinity = std::numeric_limits<double>::infinity();
+        REQUIRE(list.update(s, x.data(), from, thickness, 2.0 * motion, step % 60 < 59 && step ? motion : infinity));
+        fresh.build(s, from, x.data(), thickness + 2.0 * motion);
+        CHECK(pairs_of(list.triangles) == pairs_of(fresh.triangles));
+        CHECK(pairs_of(list.edges) == pairs_of(fresh.edges));
+        largest = std::max(largest, fresh.size());
+    }
+    CHECK(largest > 20);
+}
+
 TEST_CASE("a point of an obstacle has the gaps of a particle there") {
     Random random;
     Sheet sheet(4);
