@@ -209,7 +209,8 @@ def membrane(
         viscosities = stiffness * (viscosity / moduli.warp)
     else:
         unit = k_d0 * math.sqrt(density)
-        viscosities = unit * np.sqrt(stiffness)
+        # The coupling is negative for a negative Poisson's ratio.
+        viscosities = unit * np.sqrt(np.array([warp_stiffness, 0.0, weft_stiffness, shear]))
         viscosities[1] = unit * coupling / math.sqrt(math.sqrt(warp_stiffness * weft_stiffness))
     corners = thread_coordinates(positions, triangles, warp)
     return MembraneTriangles(
