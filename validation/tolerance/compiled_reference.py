@@ -279,8 +279,8 @@ class ReferenceSystem:
         system.membranes = len(force.triangles)
         system.membrane_particles = self._store_array(force.triangles, np.int64)
         system.membrane_numbers = self._store_array(force.coefficients, np.float64)
-        moduli = np.zeros(14)
-        moduli[: elements.shared_coefficients.size] = elements.shared_coefficients
+        moduli, shared = np.zeros(14), np.asarray(elements.shared_coefficients)
+        moduli[: shared.size] = shared
         system.membrane_moduli = self._store_array(moduli, np.float64)
 
     def _set_hinges(self, lists: Sequence[HingeSprings], prefix: str, total: str) -> None:

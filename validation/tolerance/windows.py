@@ -277,8 +277,8 @@ def run_reference(run: RecordedRun, first: int, frames: int, perturbation: Array
     if run.plastic_lengths[first].size:
         n_friction_steps = _FRICTION_STEPS * math.sqrt(LOCAL_ERROR_FRACTION * run.draw.scene.tolerance / local_error)
         steps, max_step = steps + n_friction_steps, run.period / n_friction_steps
-    limits = {"max_evaluations": int(_STAGES * steps), "max_step": max_step}
-    integration = Integration(run.system, y, tolerance=local_error, **limits)
+    max_evaluations = int(_STAGES * steps)
+    integration = Integration(run.system, y, tolerance=local_error, max_evaluations=max_evaluations, max_step=max_step)
     positions, amplifications = list[Array](), list[Array]()
     offsets: dict[tuple[int, int], Array] = {}
     plastic_lengths = run.plastic_lengths[first]
