@@ -17,14 +17,18 @@ from cloth_sim_ros.scene.scene import Scene
 
 #: Bisections of a step of the joints: they find the stop within 1 % of the step.
 _BISECTIONS = 7
+#: Largest number of joints that move two pads of one hand relative to each other. More are those of two arms, whose
+#: joints must not stop.
+_MAX_HAND_JOINTS = 8
 
 
 class PadStops:
     """Stops the joints of fingers before their pads come closer than the contact thickness.
 
-    Two pads are a pair if they belong to one hand and different joints move them. Both sides of a cloth's layer then
-    have half the thickness, and its contact pushes back. Without stops a closed gripper would crush the layer, and all
-    obstacles would stop. Pads of two hands, and of two links of one finger, may come closer.
+    Two pads are a pair if they belong to one hand and different joints move them. Pads that more than eight joints move
+    relative to each other belong to two arms. Both sides of a cloth's layer then have half the thickness, and its
+    contact pushes back. Without stops a closed gripper would crush the layer, and all obstacles would stop. Pads of two
+    hands, and of two links of one finger, may come closer.
 
     Args:
         scene: has the pads as obstacles, `robot.pads` and `contact.thickness`.
@@ -54,7 +58,9 @@ class PadStops:
                 continue
             # Fingers that mimic one joint share all joints; that one is the last of them.
             last = chains[max((a, b), key=bodies.__getitem__)]
-            self._pairs.append((a, b, sorted(set(chains[a]) ^ set(chains[b])) or last[:1]))
+            joints = sorted(set(chains[a]) ^ set(chains[b])) or last[:1]
+            if len(joints) <= _MAX_HAND_JOINTS:
+                self._pairs.append((a, b, joints))
         self._accepted: Array | None = None
 
     def update(self, scene: Scene) -> None:
