@@ -61,7 +61,8 @@ class PadStops:
             joints = sorted(set(chains[a]) ^ set(chains[b])) or last[:1]
             if len(joints) <= _MAX_HAND_JOINTS:
                 self._pairs.append((a, b, joints))
-        self._accepted: Array | None = None
+        #: Positions of the joints in force [rad or m]; None before the first ones.
+        self.accepted: Array | None = None
 
     def update(self, scene: Scene) -> None:
         """Take the contact thickness of a changed scene."""
@@ -82,13 +83,13 @@ class PadStops:
         for a, b, joints in self._pairs:
             if self._gap(a, b, poses) >= self._min_gap:
                 continue
-            if self._accepted is None:
+            if self.accepted is None:
                 break
             open_positions = result.copy()
-            open_positions[joints] = self._accepted[joints]
+            open_positions[joints] = self.accepted[joints]
             result = open_positions + self._fraction(a, b, open_positions, result) * (result - open_positions)
             poses = self._links.poses(result)
-        self._accepted = result
+        self.accepted = result
         return result
 
     def _fraction(self, a: int, b: int, start: Array, end: Array) -> float:
