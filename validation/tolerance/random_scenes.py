@@ -269,17 +269,24 @@ def _draw_laws(rng: np.random.Generator, values: dict[str, Any]) -> list[str]:
     """Let half of the sheets have laws for fabrics; its generator is separate, so that other draws stay the same."""
     if "cloth.springs" in values or rng.random() < 0.5:
         return []
-    words: list[str] = []
-    if rng.random() < 0.7:
-        bending = fabric_bending(rng)
+    has_bending = bool(rng.random() < 0.7)
+    if has_bending:
         for name in ("bending.stiffness", "bending.rest_angle"):
             values.pop(name, None)
-        values |= bending
-        words = [bending["bending.model"], *(["friction of bending"] if "bending.friction_moment" in bending else [])]
-    if not words or rng.random() < 0.5:
+        values |= fabric_bending(rng)
+    if not has_bending or rng.random() < 0.5:
         values |= fabric_membrane(rng, values)
+    return ["fabric of " + law_words(values)]
+
+
+def law_words(values: Mapping[str, Any]) -> str:
+    """Return the bending model of a scene, its friction and its triangles in words."""
+    words = [str(values["bending.model"])]
+    if "bending.friction_moment" in values:
+        words.append("friction of bending")
+    if "membrane.model" in values:
         words.append("stiffening triangles" if "material.warp_stiffening" in values else "triangles")
-    return ["fabric of", *words]
+    return " with ".join(words)
 
 
 def fabric_bending(rng: np.random.Generator) -> dict[str, Any]:
