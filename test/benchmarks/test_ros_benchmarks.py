@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import attrs
 import numpy as np
 import pytest
 
@@ -110,18 +111,22 @@ def test_stream_counts_sent_and_received_clouds(moving):
     assert figures["met"] == (figures["left_out"] == 0)
 
 
-def test_latencies_are_measured(ros_domain: int) -> None:
+@pytest.mark.parametrize("joint_states", [False, True], ids=["targets", "joint states"])
+def test_latencies_are_measured(ros_domain: int, joint_states: bool) -> None:
     # The values depend on the load of the machine and are not checked.
+    options = {"resolution": (8, 8), "rate": 60.0, "stream": 100.0, "seconds": 0.5, "joint_states": joint_states}
     rclpy.init(args=[])
     try:
-        latencies = latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)
+        latencies = latency.measure(**options)
     finally:
         rclpy.try_shutdown()
     assert latencies.particles == 64
     assert len(latencies.seconds) > 10
     assert (latencies.seconds > 0.0).all()
     assert latencies.summary()["integrator_reason"]
-    quick = latency.Latencies(particles=1, rate=60.0, seconds=latencies.seconds * 0.0 + 0.001, diagnostics={})
-    slow = latency.Latencies(particles=1, rate=60.0, seconds=latencies.seconds * 0.0 + 0.019, diagnostics={})
+    quick, slow = (
+        attrs.evolve(latencies, seconds=0.0 * latencies.seconds + seconds)
+        for seconds in (0.001, 0.027 if joint_states else 0.019)
+    )
     assert quick.met
     assert not slow.met

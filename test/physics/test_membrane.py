@@ -3,7 +3,9 @@
 """Membrane triangles of sheets: moduli, thread directions, energy, bounds and implicit matrix."""
 
 import math
+import warnings
 
+import attrs
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
@@ -263,6 +265,18 @@ def test_grid_of_another_size_is_refused():
 def test_poisson_ratio_beyond_the_moduli_is_refused():
     with pytest.raises(ValueError, match=r"must be between -0\.5 and 0\.5"):
         FabricModuli(warp=100.0, weft=400.0, shear=1.0, poisson_ratio=0.5)
+
+
+def test_negative_poisson_ratio_has_a_negative_coupled_viscosity():
+    options = {"warp": [1.0, 0.0, 0.0], "k_d0": 0.2, "density": 0.3}
+    positions, triangles = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]), np.array([[0, 1, 2]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        forces = [
+            membrane(positions, triangles, attrs.evolve(MODULI, poisson_ratio=ratio), **options)
+            for ratio in (-0.3, 0.3)
+        ]
+    assert forces[0].viscosities == pytest.approx(forces[1].viscosities * [1.0, -1.0, 1.0, 1.0])
 
 
 def test_grid_of_both_diagonals_has_two_layers():

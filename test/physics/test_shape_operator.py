@@ -162,6 +162,8 @@ def test_damping_time_is_that_of_the_stiffest_triangle():
     highest = (moduli[:, None] * operator.areas[:, None, None] * squares).sum(axis=(1, 2)).max()
     couplings = operator.couplings(tuple(moduli), damping=0.3, masses=masses)
     assert couplings.damping_time == pytest.approx(0.3 * math.sqrt(2.0 / highest))
+    # The frequency of the smallest modulus underflows to 0.
+    assert operator.couplings((5e-324, 0.0, 0.0), damping=0.3, masses=1e3 * masses).damping_time == 0.0
 
 
 def test_bounds_hold_at_any_shape():

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import pytest
@@ -58,6 +59,22 @@ def test_late_state_replaces_no_newer_position() -> None:
     assert states.positions.tolist() == [7.0, 5.0]
 
 
+@pytest.mark.parametrize("names", [["a", "b"], ["b", "a"]], ids=["same list", "another list"])
+def test_older_stamps_count_after_a_silence(names: list[str]) -> None:
+    """A bag that is played again, or a robot that restarts with another clock, moves its joints."""
+    states = JointStates(["a", "b"])
+    states.add(["a", "b"], [1.0, 2.0], NOW, NOW)
+    states.apply(NOW)
+    with contextlib.suppress(OldStampError):
+        states.add(names, [7.0, 7.0], NOW - 9 * SECOND, NOW + 1)
+    assert not states.apply(NOW + 1)
+    later = NOW + 2 * SECOND
+    assert states.add(names, [3.0, 3.0], NOW - 8 * SECOND, later)
+    assert states.apply(later)
+    assert states.positions.tolist() == [3.0, 3.0]
+    assert states.stamp == NOW - 8 * SECOND
+
+
 def test_state_without_a_known_joint_is_ignored() -> None:
     states = JointStates(["a"])
     assert not states.add(["wheel"], [math.nan], 0, NOW)
@@ -68,6 +85,7 @@ def test_state_without_a_known_joint_is_ignored() -> None:
     ("names", "positions", "reason"),
     [
         (["a", "b"], [1.0], "names 2 joints and gives 1 positions"),
+        (["b", "a", "a"], [0.0, 1.0, 2.0], "names joint 'a' twice"),
         (["a"], [math.nan], "position of joint 'a' is nan"),
         (["a"], [math.inf], "position of joint 'a' is inf"),
     ],

@@ -313,6 +313,21 @@ def test_pads_stop_at_a_new_thickness(client: Client, description: str) -> None:
         assert gap == pytest.approx(0.008, rel=0.1)
 
 
+def test_fingers_close_after_a_state_beyond_bounds(client: Client, description: str) -> None:
+    values = {"robot.description_file": description, "robot.pads": ["left_finger", "right_finger"]}
+    with arm(client, (0.1, 0.2, 0.3, 0.03), values) as cloth:
+        cloth.tick()
+        before = poses(cloth)
+        send(cloth, state((0.1, 0.2, 0.3, 1e30)))
+        cloth.tick()
+        assert np.array_equal(poses(cloth), before)
+        send(cloth, state((0.1, 0.2, 0.3, 0.0)))
+        cloth.tick()
+        names = cloth.node.simulation.scene.obstacle_names
+        moved = np.linalg.norm(poses(cloth)[names.index("left_finger"), :3] - before[names.index("left_finger"), :3])
+        assert 0.02 < moved < 0.03
+
+
 def test_links_return_after_a_reset_without_tf(
     client: Client, description: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

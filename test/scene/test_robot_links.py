@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -392,6 +393,29 @@ def test_pads_of_two_hands_leave_the_arms_free() -> None:
     # Fingers of one hand still stop.
     positions[index["left_0_joint"]] = -0.02
     assert -0.02 < stops.stopped(positions)[index["left_0_joint"]] < -0.01
+
+
+def test_single_pads_of_two_arms_leave_the_arms_free() -> None:
+    """Two arms without fingers press their palms together, and carry what is between them."""
+    joints = []
+    for arm, y in (("left", 0.1), ("right", -0.1)):
+        bodies = ["stand", *(f"{arm}_{k}" for k in range(6))]
+        joints += [
+            (child, parent, f"0 {y if not k else 0.0} 0.03") for k, (parent, child) in enumerate(pairwise(bodies))
+        ]
+    values = {
+        "robot.position": [2.0, 0.0, 0.0],
+        "robot.pads": ["left_5", "right_5"],
+        "robot.links": ["left_5", "right_5"],
+    }
+    scene, links = robot_scene(sliding_fingers(*joints), values)
+    stops, names = PadStops(scene, links), list(links.joint_names)
+    positions = np.zeros(len(names))
+    stops.stopped(positions)
+    positions[names.index("left_0_joint")], positions[names.index("right_0_joint")] = -0.09, 0.09
+    for _ in range(3):
+        assert stops.stopped(positions).tolist() == positions.tolist()
+        positions[[names.index("left_1_joint"), names.index("right_1_joint")]] += 0.01
 
 
 def test_pads_of_one_finger_leave_its_joints_free() -> None:

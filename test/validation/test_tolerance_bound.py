@@ -11,11 +11,13 @@ from support import laws
 from support.plan_scenes import FILES, SCENES, stir
 from support.reference_kernel import find_compiler
 
+from cloth_sim_ros.physics.model.forces.bending_friction import BendingFriction
 from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.state.controller_state import PLASTIC_LENGTHS_KEY
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.__main__ import main
@@ -32,7 +34,7 @@ from validation.tolerance.compiled_reference import (
     trajectories,
 )
 from validation.tolerance.linear_motion import exact_positions
-from validation.tolerance.random_scenes import MAX_COST, draw_scene
+from validation.tolerance.random_scenes import MAX_COST, RandomScene, draw_scene, initial_state
 from validation.tolerance.recording import record_run
 from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, regime_scene
 from validation.tolerance.vector_generator import VectorGenerator
@@ -65,6 +67,78 @@ def test_reference_accelerations_match_numpy_laws(name):
     accelerations = ReferenceSystem(model).accelerations(x, v)
     # Rounding of some tens of forces a particle.
     assert accelerations == pytest.approx(expected, abs=1e-13 * np.abs(expected).max())
+
+
+_FABRIC = {
+    "cloth.resolution": [7, 6],
+    "cloth.orientation": [0.61, 0.07, -0.13, 0.77],
+    "material.bending_modulus": 1e-4,
+    "material.bending_modulus_weft": 3e-4,
+}
+_STIFFENING = {f"material.{name}_stiffening": [0.01 * (k + 2), 4.0] for k, name in enumerate(("warp", "weft", "shear"))}
+_TRIANGLES = {"membrane.model": "triangles", "bending.model": "none"}
+_FRICTION = {**_FABRIC, "bending.friction_moment": 1e-3, "bending.yield_curvature": 0.1}
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {**_FABRIC, "bending.model": "quadratic"},
+        {**_FABRIC, "bending.model": "shape_operator"},
+        {**_FRICTION, "bending.model": "quadratic"},
+        {**_FRICTION, "bending.model": "altitude"},
+        {**_TRIANGLES, "material.poisson_ratio": -0.3, "material.warp_direction": [0.6, 0.8, 0.0]},
+        {**_TRIANGLES, "material.poisson_ratio": 0.3, **_STIFFENING, "air.added_mass": 0.1},
+    ],
+    ids=["quadratic", "shape operator", "friction", "friction of altitude hinges", "triangles", "stiffening"],
+)
+def test_reference_accelerations_of_fabrics_match_the_plan(values):
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [7, 6], "wind.normal_drag": 0.0, **values}))
+    stir(simulation)
+    plan, rng = simulation.plan, np.random.default_rng(1)
+    x, v = simulation.state.x + 0.01 * rng.normal(size=simulation.state.x.shape), simulation.state.v
+    system, memory = ReferenceSystem(simulation.model), {}
+    if plan.plastic is not None:
+        lengths = rng.normal(size=system.plastic_lengths.shape[0]) * 3e-3
+        system.set_plastic_lengths(lengths)
+        memory = {PLASTIC_LENGTHS_KEY: lengths}
+    expected = np.empty_like(x)
+    plan.accelerations(0.0, x, v, expected, memory)
+    assert system.accelerations(x, v) == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
+
+
+def test_reference_yields_at_extremes_within_a_step():
+    # A hinge between two equal triangles, held at its edge. The wings swing and reverse within a step.
+    hinge = [[0, 1, 2, 3]]
+    friction = BendingFriction(hinge, 0.0, 2.0, 0.002)
+    joints = PairSprings([[0, 2], [0, 3]], 0.0, 3.0)
+    model = Model(np.full(4, 0.01), [friction, joints], anchors=[0, 1])
+    x = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.1, 0.5, 0.0], [0.1, 0.5, 0.0]]).T
+    v = np.zeros((3, 4))
+    v[2, 2:] = 0.5
+    lengths = []
+    for max_step in (1e-3, 1e-5):
+        system = ReferenceSystem(model)
+        Integration(system, trajectories(x, v), tolerance=1e-3, max_step=max_step).advance(0.3)
+        lengths.append(system.plastic_lengths)
+    assert np.abs(lengths[1]).max() > 0.002
+    assert lengths[0] == pytest.approx(lengths[1], abs=1e-8)
+
+
+def test_reference_follows_friction_of_bending():
+    rng = np.random.default_rng([2, 9])
+    values = {**_FRICTION, "bending.model": "quadratic", "tolerance": 1e-4, "grippers": [""], "rate": 60.0}
+    scene = Scene.from_parameters({**values, "cloth.resolution": [4, 3], "wind.normal_drag": 0.0})
+    draw = RandomScene(scene=scene, state=initial_state(rng, scene, 1.0), frames=60, words="a sheet with friction")
+    run = record_run(draw)
+    assert run.mismatch < 1e-12
+    assert np.ptp(run.plastic_lengths, axis=0).max() > 0.0
+    window = evaluate_window(run, 0, 60, seed=0)[0]
+    assert window.is_known
+    assert window.ratio < 1.0
+    # The reference starts from the recorded plastic lengths.
+    run.plastic_lengths[0] = run.plastic_lengths[0] + 0.01
+    assert evaluate_window(run, 0, 60, seed=0)[0].ratio > 1.0
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.2, 3.0])
@@ -161,7 +235,8 @@ def test_random_scene_follows_from_seed_and_index():
 def test_random_scenes_cover_all_kinds_and_exceed_the_cap():
     random_scenes = [draw_scene(1, index) for index in range(40)]
     words = " ".join(random_scene.words for random_scene in random_scenes)
-    for kind in ("grid", "disc", "hole", "irregular", "spring", "chain", "crossed", "altitude", "axial", "opposite"):
+    kinds = ("grid", "disc", "hole", "irregular", "spring", "chain", "crossed", "altitude", "axial", "opposite")
+    for kind in (*kinds, "shape_operator", "quadratic", "friction of bending", "stiffening triangles", "added mass"):
         assert kind in words
     assert 0 < sum(random_scene.cost > MAX_COST for random_scene in random_scenes) < 30
 

@@ -47,6 +47,12 @@ def test_wrong_frame_violates_the_error_bound(monkeypatch):
     assert evaluate_contact(1, 0, 1).verdict == "BROKEN"
 
 
+def test_contact_scenes_cover_the_laws_of_fabrics():
+    words = " ".join(draw_contact(1, index).words for index in range(24))
+    for law in ("shape_operator", "quadratic", "friction of bending", "with triangles", "stiffening triangles"):
+        assert law in words
+
+
 def test_contact_scenes_cover_every_kind_and_touch():
     for index in range(len(KINDS) * len(FRICTIONS)):
         draw = draw_contact(1, index)

@@ -21,6 +21,8 @@ from validation.tolerance.random_grips import RandomGripScript
 from validation.tolerance.random_scenes import (
     RandomScene,
     added_mass,
+    bending_friction,
+    fabric_membrane,
     initial_state,
     log_uniform,
     sheet_air,
@@ -212,6 +214,25 @@ def carried_air(rng: np.random.Generator) -> Trial:
     return _evaluate_sheet(rng, values, is_moving=True, gust=True)
 
 
+def fabric(rng: np.random.Generator) -> Trial:
+    """Evaluate a moving sheet of membrane triangles, with quadratic hinges or a shape operator."""
+    values = _hung_sheet(rng)
+    model = str(rng.choice(["none", "quadratic", "shape_operator"]))
+    modulus = {} if model == "none" else {"material.bending_modulus": log_uniform(rng, 1e-6, 1e-3)}
+    values |= {"bending.model": model, **modulus, **fabric_membrane(rng, values), **sheet_air(rng)}
+    return _evaluate_sheet(rng, values, is_moving=True, gust=True)
+
+
+def friction(rng: np.random.Generator) -> Trial:
+    """Evaluate a moving sheet with internal friction of bending."""
+    values = _hung_sheet(rng)
+    modulus = log_uniform(rng, 1e-6, 1e-3)
+    model = str(rng.choice(["quadratic", "crossed", "altitude"]))
+    values |= {"bending.model": model, "material.bending_modulus": modulus}
+    values |= {**bending_friction(rng, modulus), **sheet_air(rng)}
+    return _evaluate_sheet(rng, values, is_moving=True, gust=True)
+
+
 def mesh(rng: np.random.Generator) -> Trial:
     """Evaluate a triangle mesh that hangs from its highest vertices."""
     return _evaluate_mesh(rng, carries_air=False)
@@ -325,6 +346,8 @@ SCENE_FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = 
     "hung": (hung, 16),
     "moving": (moving, 40),
     "carried-air": (carried_air, 42),
+    "fabric": (fabric, 60),
+    "friction": (friction, 50),
     "mesh": (mesh, 40),
     "mesh-air": (mesh_air, 42),
     "events": (events, 70),

@@ -31,6 +31,17 @@ typedef struct {
     int64_t altitudes;
     const int64_t *altitude_particles;
     const double *altitude_numbers;
+    int64_t quadratics;
+    const int64_t *quadratic_particles;
+    const double *quadratic_numbers; /* weights of the four corners [1/m], k [N m], damping time [s] */
+    int64_t frictions;
+    const int64_t *friction_particles;
+    const double *friction_numbers; /* k [N/m], largest deflection [m] */
+    double *plastic_lengths;        /* [frictions][LANES] [m] */
+    int64_t membranes;
+    const int64_t *membrane_particles;
+    const double *membrane_numbers; /* change of a corner's thread coordinates: p1, p2, q1, q2 [1/m], area [m^2], damping [m^3] */
+    const double *membrane_moduli;  /* C11, C12, C22, C33, D11, D12, D22, D33, then limit and rate of the growth of three */
     int64_t panels, corners;
     const int64_t *panel_particles;
     double normal, tangential, wind[3];
@@ -100,24 +111,134 @@ static inline void hinge(const int64_t *at, const double *constants, Lanes h, co
     for (int c = 0; c < 4; ++c) add(f, at[c], times(tension, gradient[c]));
 }
 
-/* h = 6V / M, M^2 = |a x b|^2 + (0.1 |a|^2)^2 of the edge a = 0-1 and the wings b = 2-3. */
+/* h = 6V / M, M^2 = |a x b|^2 + (0.1 |a|^2)^2 of the edge a = 0-1 and the wings b = 2-3, and its gradients. */
+static inline Lanes crossed_length(const int64_t *at, const double *x, Vec *gradient) {
+    const Vec p0 = load(x, at[0]), p2 = load(x, at[2]);
+    const Vec a = minus(load(x, at[1]), p0), b = minus(load(x, at[3]), p2), r = minus(p2, p0), c = cross(a, b);
+    const Lanes aa = dot(a, a), square = dot(c, c) + 0.01 * aa * aa;
+    const Lanes inverse_square = inverse_above(square, (Lanes){0} + 1e-30), inverse = root(inverse_square);
+    /* 6V = r . (b x a) of any two points on the lines. */
+    const Lanes h = (Lanes){0} - dot(r, c) * inverse;
+    /* Gradients of 6V and of M^2 / 2 with respect to a, b and r. */
+    const Vec va = cross(r, b), vb = cross(a, r), vr = cross(b, a);
+    const Vec ma = plus(cross(b, c), times(0.02 * aa, a)), mb = cross(c, a);
+    const Vec ga = minus(times(inverse, va), times(h * inverse_square, ma));
+    const Vec gb = minus(times(inverse, vb), times(h * inverse_square, mb)), gr = times(inverse, vr);
+    const Vec none = {{0}, {0}, {0}};
+    gradient[0] = minus(minus(none, ga), gr), gradient[1] = ga;
+    gradient[2] = minus(gr, gb), gradient[3] = gb;
+    return h;
+}
+
 static void crossed(const System *s, const double *x, const double *v, double *f) {
     for (int64_t k = 0; k < s->crossed; ++k) {
         const int64_t *at = s->crossed_particles + 4 * k;
-        const Vec p0 = load(x, at[0]), p2 = load(x, at[2]);
-        const Vec a = minus(load(x, at[1]), p0), b = minus(load(x, at[3]), p2), r = minus(p2, p0), c = cross(a, b);
-        const Lanes aa = dot(a, a), square = dot(c, c) + 0.01 * aa * aa;
-        const Lanes inverse_square = inverse_above(square, (Lanes){0} + 1e-30), inverse = root(inverse_square);
-        /* 6V = r . (b x a) of any two points on the lines. */
-        const Lanes h = (Lanes){0} - dot(r, c) * inverse;
-        /* Gradients of 6V and of M^2 / 2 with respect to a, b and r. */
-        const Vec va = cross(r, b), vb = cross(a, r), vr = cross(b, a);
-        const Vec ma = plus(cross(b, c), times(0.02 * aa, a)), mb = cross(c, a);
-        const Vec ga = minus(times(inverse, va), times(h * inverse_square, ma));
-        const Vec gb = minus(times(inverse, vb), times(h * inverse_square, mb)), gr = times(inverse, vr);
-        const Vec none = {{0}, {0}, {0}};
-        const Vec gradient[4] = {minus(minus(none, ga), gr), ga, minus(gr, gb), gb};
+        Vec gradient[4];
+        const Lanes h = crossed_length(at, x, gradient);
         hinge(at, s->crossed_numbers + 3 * k, h, gradient, v, f);
+    }
+}
+
+/* Energy k |L|^2 / 2 of L = sum of w_i x_i, damping k time |dL/dt|^2. */
+static void quadratics(const System *s, const double *x, const double *v, double *f) {
+    for (int64_t k = 0; k < s->quadratics; ++k) {
+        const int64_t *at = s->quadratic_particles + 4 * k;
+        const double *w = s->quadratic_numbers + 6 * k;
+        Vec fold = {{0}, {0}, {0}};
+        for (int c = 1; c < 4; ++c) {
+            const Vec away = minus(load(x, at[c]), load(x, at[0])), rate = minus(load(v, at[c]), load(v, at[0]));
+            fold = plus(fold, times((Lanes){0} + w[c], plus(away, times((Lanes){0} + w[5], rate))));
+        }
+        for (int c = 0; c < 4; ++c) add(f, at[c], times((Lanes){0} - w[4] * w[c], fold));
+    }
+}
+
+static inline Lanes between(Lanes a, Lanes low, Lanes high) {
+    const Mask below = a < low, above = a > high;
+    return (Lanes)(((Mask)low & below) | ((Mask)high & above) | ((Mask)a & ~(below | above)));
+}
+
+/* Tension -k e of an elasto-plastic spring, e = h - h_p cut to the largest deflection; h is that of crossed hinges. */
+static void frictions(const System *s, const double *x, double *f) {
+    for (int64_t k = 0; k < s->frictions; ++k) {
+        const int64_t *at = s->friction_particles + 4 * k;
+        const double *numbers = s->friction_numbers + 2 * k;
+        Vec gradient[4];
+        const Lanes h = crossed_length(at, x, gradient), reach = (Lanes){0} + numbers[1];
+        const Lanes deflection = between(h - *(const Lanes *)(s->plastic_lengths + LANES * k), -reach, reach);
+        for (int c = 0; c < 4; ++c) add(f, at[c], times((Lanes){0} - numbers[0] * deflection, gradient[c]));
+    }
+}
+
+/* Plastic lengths after a step h from y to next. Each follows the extremes of the cubic through h and its rates. */
+static void flow(const System *s, double step, const double *y, const double *next, int64_t half) {
+    for (int64_t k = 0; k < s->frictions; ++k) {
+        const int64_t *at = s->friction_particles + 4 * k;
+        const double reach = s->friction_numbers[2 * k + 1];
+        double *plastic = s->plastic_lengths + LANES * k;
+        Vec gradient[4];
+        Lanes h[2], rate[2] = {{0}};
+        for (int end = 0; end < 2; ++end) {
+            const double *x = end ? next : y;
+            h[end] = crossed_length(at, x, gradient);
+            for (int c = 0; c < 4; ++c) rate[end] += dot(gradient[c], load(x + half, at[c]));
+        }
+        for (int l = 0; l < LANES; ++l) {
+            /* h0 + t (r0 + t (b + t a)) for the fraction t of the step. */
+            const double h0 = h[0][l], h1 = h[1][l], r0 = step * rate[0][l], r1 = step * rate[1][l];
+            const double a = r0 + r1 - 2.0 * (h1 - h0), b = 3.0 * (h1 - h0) - 2.0 * r0 - r1;
+            double times_of[3] = {1.0, 1.0, 1.0};
+            const double root_square = b * b - 3.0 * a * r0;
+            if (root_square > 0.0) {
+                /* Both roots of 3 a t^2 + 2 b t + r0 without cancellation. */
+                const double q = -(b + copysign(sqrt(root_square), b));
+                times_of[0] = q != 0.0 ? r0 / q : 1.0;
+                times_of[1] = a != 0.0 ? q / (3.0 * a) : 1.0;
+                if (times_of[0] > times_of[1]) {
+                    const double later = times_of[0];
+                    times_of[0] = times_of[1], times_of[1] = later;
+                }
+            }
+            for (int e = 0; e < 3; ++e) {
+                const double t = times_of[e];
+                if (!(t > 0.0 && t <= 1.0)) continue;
+                const double at_extreme = t == 1.0 ? h1 : h0 + t * (r0 + t * (b + t * a));
+                if (at_extreme - plastic[l] > reach) plastic[l] = at_extreme - reach;
+                if (plastic[l] - at_extreme > reach) plastic[l] = at_extreme + reach;
+            }
+        }
+    }
+}
+
+/* Membrane of threads a and b, of unit length at rest: Green's strains, moduli C, rates times D. A growing modulus adds the
+ * stress r x^2 (e - 2 x / 3), x the strain e between its limits. */
+static void membranes(const System *s, const double *x, const double *v, double *f) {
+    const double *c = s->membrane_moduli, *d = c + 4, *growth = c + 8;
+    for (int64_t k = 0; k < s->membranes; ++k) {
+        const int64_t *at = s->membrane_particles + 3 * k;
+        const double *n = s->membrane_numbers + 6 * k;
+        const double along[3] = {-n[0] - n[1], n[0], n[1]}, across[3] = {-n[2] - n[3], n[2], n[3]};
+        Vec a = {{0}, {0}, {0}}, b = a, da = a, db = a;
+        for (int i = 1; i < 3; ++i) {
+            const Vec p = minus(load(x, at[i]), load(x, at[0])), u = minus(load(v, at[i]), load(v, at[0]));
+            a = plus(a, times((Lanes){0} + along[i], p)), b = plus(b, times((Lanes){0} + across[i], p));
+            da = plus(da, times((Lanes){0} + along[i], u)), db = plus(db, times((Lanes){0} + across[i], u));
+        }
+        const Lanes strain[3] = {0.5 * (dot(a, a) - 1.0), 0.5 * (dot(b, b) - 1.0), dot(a, b)};
+        const Lanes rate[3] = {dot(a, da), dot(b, db), dot(a, db) + dot(b, da)};
+        Lanes stress[3] = {n[4] * (c[0] * strain[0] + c[1] * strain[1]) + n[5] * (d[0] * rate[0] + d[1] * rate[1]),
+                           n[4] * (c[1] * strain[0] + c[2] * strain[1]) + n[5] * (d[1] * rate[0] + d[2] * rate[1]),
+                           n[4] * c[3] * strain[2] + n[5] * d[3] * rate[2]};
+        for (int e = 0; e < 3; ++e) {
+            const Lanes limit = (Lanes){0} + growth[2 * e];
+            const Lanes cut = between(strain[e], e == 2 ? -limit : (Lanes){0}, limit);
+            stress[e] += n[4] * growth[2 * e + 1] * cut * cut * (strain[e] - cut * (2.0 / 3.0));
+        }
+        for (int i = 0; i < 3; ++i) {
+            const Vec pull = plus(times(along[i] * stress[0] + across[i] * stress[2], a),
+                                  times(across[i] * stress[1] + along[i] * stress[2], b));
+            add(f, at[i], times((Lanes){0} - 1.0, pull));
+        }
     }
 }
 
@@ -293,6 +414,9 @@ void accelerations(const System *s, double t, const double *x, const double *v, 
     springs(s, x, v, a);
     if (s->crossed) crossed(s, x, v, a);
     if (s->altitudes) altitudes(s, x, v, a);
+    if (s->quadratics) quadratics(s, x, v, a);
+    if (s->frictions) frictions(s, x, a);
+    if (s->membranes) membranes(s, x, v, a);
     if (s->panels) panels(s, x, v, a);
     if (s->added_mass > 0.0) carried_air(s, x, v, a);
     if (s->held) grips(s, t, x, v, a);
@@ -319,6 +443,7 @@ typedef struct {
     double kick;            /* size of the perturbations [m], [m/s] */
     double share;           /* local error of a perturbed trajectory's deviation, relative to the deviation */
     double step;            /* first step, then the next step [s] */
+    double longest;         /* longest step [s]; 0 for no limit */
     double deviations[2];   /* largest deviations in position and velocity, with a slow decay */
     int64_t evaluations, rejected;
     int64_t most; /* largest number of evaluations in one interval */
@@ -401,7 +526,8 @@ int advance(const System *s, const Method *m, Control *control, double duration,
     double *k[12], *next = work + 12 * half;
     for (int i = 0; i < 12; ++i) k[i] = work + i * half;
     const int64_t end = control->evaluations + control->most;
-    double t = 0.0, h = control->step > 0.0 ? control->step : 1e-3 * duration;
+    const double longest = control->longest > 0.0 ? control->longest : INFINITY;
+    double t = 0.0, h = fmin(longest, control->step > 0.0 ? control->step : 1e-3 * duration);
     accelerations(s, t, y, y + half, k[0]);
     ++control->evaluations;
     int rejected = 0;
@@ -421,9 +547,10 @@ int advance(const System *s, const Method *m, Control *control, double duration,
         if (error < 1.0) {
             double factor = error == 0.0 ? 6.0 : fmin(6.0, 0.9 * pow(error, -0.125));
             if (rejected) factor = fmin(1.0, factor);
-            h = step < h ? fmax(factor * step, fmin(h, duration)) : factor * step;
+            h = fmin(longest, step < h ? fmax(factor * step, fmin(h, duration)) : factor * step);
             rejected = 0;
             t = last ? duration : t + step;
+            if (s->frictions) flow(s, step, y, next, half);
             memcpy(y, next, 2 * (size_t)half * sizeof(double));
             if (t < duration) {
                 accelerations(s, t, y, y + half, k[0]);

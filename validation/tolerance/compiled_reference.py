@@ -25,6 +25,8 @@ from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
 from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.bending_friction import BendingFriction
+from cloth_sim_ros.physics.model.forces.couplings import Couplings
 from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
 from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -32,9 +34,12 @@ from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
+from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.forces.quadratic import QuadraticHinges
 from cloth_sim_ros.physics.model.forces.wind import Wind
 from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import ElementList
 
 #: Trajectories side by side: the solution and `LANES` - 1 perturbed ones.
 LANES = 4
@@ -69,6 +74,17 @@ class _System(ctypes.Structure):
         ("altitudes", _COUNT),
         ("altitude_particles", _POINTER),
         ("altitude_numbers", _POINTER),
+        ("quadratics", _COUNT),
+        ("quadratic_particles", _POINTER),
+        ("quadratic_numbers", _POINTER),
+        ("frictions", _COUNT),
+        ("friction_particles", _POINTER),
+        ("friction_numbers", _POINTER),
+        ("plastic_lengths", _POINTER),
+        ("membranes", _COUNT),
+        ("membrane_particles", _POINTER),
+        ("membrane_numbers", _POINTER),
+        ("membrane_moduli", _POINTER),
         ("panels", _COUNT),
         ("corners", _COUNT),
         ("panel_particles", _POINTER),
@@ -109,6 +125,7 @@ class _Control(ctypes.Structure):
         ("kick", _DOUBLE),
         ("share", _DOUBLE),
         ("step", _DOUBLE),
+        ("longest", _DOUBLE),
         ("deviations", _DOUBLE * 2),
         ("evaluations", _COUNT),
         ("rejected", _COUNT),
@@ -179,11 +196,22 @@ class ReferenceSystem:
         self._c = system = _System(particles=model.particle_count, corners=3)
         system.inverse_mass = self._store_array(model.inverse_masses, np.float64)
         pairs, lists = list[PairSprings](), dict[str, list[HingeSprings]](crossed=[], altitude=[])
+        couplings = list[Couplings]()
+        #: Plastic lengths of each trajectory [m], shape (hinges, LANES); none without friction of bending.
+        self.plastic_lengths: Array = np.empty((0, LANES))
         for force in model.forces:
             if isinstance(force, GridSprings | PairSprings):
                 pairs.append(force.pair_springs if isinstance(force, GridSprings) else force)
             elif isinstance(force, CrossedSprings | AltitudeSprings):
                 lists[force.kind].append(force)
+            elif isinstance(force, Couplings):
+                couplings.append(force)
+            elif isinstance(force, QuadraticHinges):
+                self._set_quadratics(force)
+            elif isinstance(force, BendingFriction):
+                self._set_friction(force)
+            elif isinstance(force, MembraneTriangles):
+                self._set_membrane(force)
             elif isinstance(force, Gravity | Wind):
                 for axis in range(3):
                     system.push[axis] += float(force.acceleration[axis])
@@ -195,7 +223,7 @@ class ReferenceSystem:
                 self._set_panels(force)
             elif not isinstance(force, Grips):
                 raise ValueError(f"the reference does not know the force '{force.name}'")
-        self._set_pairs(pairs)
+        self._set_pairs(pairs, couplings)
         for kind, prefix, total in (("crossed", "crossed", "crossed"), ("altitude", "altitude", "altitudes")):
             self._set_hinges(lists[kind], prefix, total)
 
@@ -205,22 +233,55 @@ class ReferenceSystem:
         self._arrays.append(copy)
         return int(copy.ctypes.data)
 
-    def _set_pairs(self, lists: Sequence[PairSprings]) -> None:
-        if not lists:
-            return
+    def _set_pairs(self, lists: Sequence[PairSprings], couplings: Sequence[Couplings]) -> None:
+        """Set springs and joints. A coupling is a joint, whose constant may be negative."""
+        none = np.empty(0)
         ends, rest_length, stiffness, damping = (
-            np.concatenate([getattr(springs, name) for springs in lists])
-            for name in ("pairs", "rest_length", "stiffness", "damping")
+            np.concatenate([empty, *(getattr(springs, name) for springs in lists)])
+            for name, empty in (
+                ("pairs", np.empty((0, 2), dtype=np.int64)),
+                ("rest_length", none),
+                ("stiffness", none),
+                ("damping", none),
+            )
         )
         is_joint = rest_length == 0.0
         system, is_spring = self._c, ~is_joint
-        system.springs, system.joints = int(is_spring.sum()), int(is_joint.sum())
+        joint_ends = np.concatenate([ends[is_joint], *(coupling.pairs for coupling in couplings)])
+        joint_numbers = [np.stack([stiffness[is_joint], damping[is_joint]], axis=1)]
+        joint_numbers += [np.outer(coupling.constants, [1.0, coupling.damping_time]) for coupling in couplings]
+        system.springs, system.joints = int(is_spring.sum()), len(joint_ends)
         system.spring_ends = self._store_array(ends[is_spring], np.int64)
-        system.joint_ends = self._store_array(ends[is_joint], np.int64)
+        system.joint_ends = self._store_array(joint_ends, np.int64)
         spring_lengths = rest_length[is_spring]
         coefficients = np.stack([stiffness[is_spring] / spring_lengths, spring_lengths, damping[is_spring]], axis=1)
         system.spring_numbers = self._store_array(coefficients, np.float64)
-        system.joint_numbers = self._store_array(np.stack([stiffness[is_joint], damping[is_joint]], axis=1), np.float64)
+        system.joint_numbers = self._store_array(np.concatenate(joint_numbers), np.float64)
+
+    def _set_quadratics(self, force: QuadraticHinges) -> None:
+        system, count = self._c, len(force.hinges)
+        system.quadratics = count
+        system.quadratic_particles = self._store_array(force.hinges, np.int64)
+        constants = np.stack([force.stiffness, np.full(count, force.damping_time)], axis=1)
+        system.quadratic_numbers = self._store_array(np.concatenate([force.weights, constants], axis=1), np.float64)
+
+    def _set_friction(self, force: BendingFriction) -> None:
+        system = self._c
+        system.frictions = len(force.hinges)
+        system.friction_particles = self._store_array(force.hinges, np.int64)
+        system.friction_numbers = self._store_array(np.stack([force.stiffness, force.reach], axis=1), np.float64)
+        self.plastic_lengths = np.repeat(force.rest_length[:, None], LANES, axis=1)
+        system.plastic_lengths = self.plastic_lengths.ctypes.data
+
+    def _set_membrane(self, force: MembraneTriangles) -> None:
+        (elements,) = [part for part in force.parts(self.model.particle_count) if isinstance(part, ElementList)]
+        system = self._c
+        system.membranes = len(force.triangles)
+        system.membrane_particles = self._store_array(force.triangles, np.int64)
+        system.membrane_numbers = self._store_array(force.coefficients, np.float64)
+        moduli, shared = np.zeros(14), np.asarray(elements.shared_coefficients)
+        moduli[: shared.size] = shared
+        system.membrane_moduli = self._store_array(moduli, np.float64)
 
     def _set_hinges(self, lists: Sequence[HingeSprings], prefix: str, total: str) -> None:
         if not lists:
@@ -249,7 +310,8 @@ class ReferenceSystem:
     def evaluation_cost(self) -> float:
         """Cost of one evaluation relative to that of one spring."""
         c = self._c
-        return float(c.springs + c.joints + 4 * c.crossed + 6 * c.altitudes + 3 * c.panels + 4 * c.particles)
+        hinges = 4 * c.crossed + 6 * c.altitudes + 2 * c.quadratics + 4 * c.frictions
+        return float(c.springs + c.joints + hinges + 3 * c.membranes + 3 * c.panels + 4 * c.particles)
 
     def set_grasped(self, grasped: GripTable | None, t: float) -> None:
         """Set the grasped particles from time t [s] on, which becomes the time origin."""
@@ -270,6 +332,10 @@ class ReferenceSystem:
         for name, array in zip(names, self._grasp_arrays, strict=True):
             setattr(system, name, array.ctypes.data)
         system.shift[: len(grasped.paths)] = (t - grasped.paths[:, 0]).tolist()
+
+    def set_plastic_lengths(self, lengths: Array) -> None:
+        """Set the plastic lengths of hinges with friction [m], (m,) or of each trajectory (m, LANES)."""
+        self.plastic_lengths[:] = lengths if lengths.ndim == 2 else lengths[:, None]
 
     def accelerations(self, x: Array, v: Array, *, since: float = 0.0) -> Array:
         """Return accelerations (3, n) [m/s^2] at x and v (3, n), a time `since` [s] after the frame's start."""
@@ -295,12 +361,25 @@ class Integration:
         y: initial positions and velocities, (2, n, 3, LANES); advanced in place.
         tolerance: local error of the solution [m], [m/s].
         max_evaluations: largest number of evaluations in one call of `advance`.
+        max_step: longest step [s]; 0 for no limit.
     """
 
-    def __init__(self, system: ReferenceSystem, y: Array, *, tolerance: float, max_evaluations: int = 1 << 40) -> None:
+    def __init__(
+        self,
+        system: ReferenceSystem,
+        y: Array,
+        *,
+        tolerance: float,
+        max_evaluations: int = 1 << 40,
+        max_step: float = 0.0,
+    ) -> None:
         self.system, self.y = system, y
         self._control = _Control(
-            tolerance=tolerance, kick=PERTURBATION, share=DEVIATION_TOLERANCE, most=max_evaluations
+            tolerance=tolerance,
+            kick=PERTURBATION,
+            share=DEVIATION_TOLERANCE,
+            longest=max_step,
+            most=max_evaluations,
         )
         self._work = np.empty(7 * y.size)
 

@@ -25,7 +25,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, ReferenceMotion, SimulatedFrame
-from validation.tolerance.random_scenes import log_uniform, smooth_field
+from validation.tolerance.random_scenes import fabric_bending, fabric_membrane, law_words, log_uniform, smooth_field
 from validation.tolerance.windows import SceneEvaluation, Window
 
 KINDS = ("table", "sphere", "edge", "itself")
@@ -55,16 +55,29 @@ class ContactDraw:
 def draw_contact(seed: int, index: int) -> ContactDraw:
     """Draw the scene of an index: kind and friction cycle with the index, everything else is random."""
     kind, friction = KINDS[index % len(KINDS)], FRICTIONS[index // len(KINDS) % len(FRICTIONS)]
-    rng, air = np.random.default_rng([seed, index, 14]), np.random.default_rng([seed, index, 15])
-    return draw_contact_scene(rng, kind, friction, _SIDES, carries_air=bool(air.random() < 1.0 / 3.0))
+    rng, air, laws = (np.random.default_rng([seed, index, salt]) for salt in (14, 15, 16))
+    carries_air, has_laws = bool(air.random() < 1.0 / 3.0), laws.random() < 0.5
+    return draw_contact_scene(rng, kind, friction, _SIDES, carries_air=carries_air, laws=laws if has_laws else None)
 
 
 def draw_contact_scene(
-    rng: np.random.Generator, kind: str, friction: float, sides: tuple[int, int], *, carries_air: bool = False
+    rng: np.random.Generator,
+    kind: str,
+    friction: float,
+    sides: tuple[int, int],
+    *,
+    carries_air: bool = False,
+    laws: np.random.Generator | None = None,
 ) -> ContactDraw:
-    """Draw a scene of a kind; `sides`: limits of the number of particles along a side.
+    """Draw a scene of a kind.
 
-    The mass of carried air is half that of the sheet.
+    Args:
+        rng: draws the scene.
+        kind: one of `KINDS`.
+        friction: coefficient of friction.
+        sides: limits of the number of particles along a side.
+        carries_air: true for a sheet that carries air along, of half its mass.
+        laws: draws a bending model and membrane triangles of fabrics; None for springs.
     """
     rows, columns = (int(count) for count in rng.integers(sides[0], sides[1] + 1, size=2))
     spacing = float(rng.uniform(0.02, 0.04))
@@ -97,6 +110,10 @@ def draw_contact_scene(
         values["bending.stiffness"] = log_uniform(rng, 0.1, 5.0)
     if kind == "itself":
         values |= {"contact.self": True, "contact.friction": [friction]}
+    if laws is not None:
+        values.pop("bending.stiffness", None)
+        values |= fabric_bending(laws)
+        values |= fabric_membrane(laws, values) if laws.random() < 0.5 else {}
     if carries_air:
         values["air.added_mass"] = 0.5 * values["material.density"]
     scene = Scene.from_parameters(values)
@@ -104,8 +121,8 @@ def draw_contact_scene(
     positions = _folded(positions, rng.uniform(1.5, 2.5) * thickness) if kind == "itself" else _tilted(positions, rng)
     words = (
         f"{kind}, {rows} x {columns}, {values['material.stretch_modulus']:.2g} N/m, "
-        f"k_d0 {values['material.damping']:.2g}, {bending}, thickness {1e3 * thickness:.2g} mm, friction {friction:g}, "
-        f"{scene.rate:g} Hz{', added mass' if carries_air else ''}"
+        f"k_d0 {values['material.damping']:.2g}, {law_words(values)}, thickness {1e3 * thickness:.2g} mm, "
+        f"friction {friction:g}, {scene.rate:g} Hz{', added mass' if carries_air else ''}"
     )
     return ContactDraw(scene=scene, state=State(positions), words=words)
 

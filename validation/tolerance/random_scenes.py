@@ -73,12 +73,13 @@ class RandomScene:
 
 def draw_scene(seed: int, index: int) -> RandomScene:
     """Draw the scene of an index for a seed."""
-    rng = np.random.default_rng([seed, index])
+    rng, law_rng = np.random.default_rng([seed, index]), np.random.default_rng([seed, index, 2])
     while True:
         calm = bool(rng.random() < _CALM_FRACTION)
         try:
             values, files, words = _values(rng, calm)
             words += _draw_added_mass(np.random.default_rng([seed, index, 1]), values)
+            words += _draw_laws(law_rng, values)
             scene = Scene.from_parameters(values, files=files)
             break
         except ParameterError:
@@ -262,6 +263,64 @@ def _draw_added_mass(rng: np.random.Generator, values: dict[str, Any]) -> list[s
 def added_mass(rng: np.random.Generator, values: Mapping[str, Any]) -> float:
     """Draw the mass of the air that a sheet carries along, from a fiftieth of its own to three times that [kg/m^2]."""
     return float(f"{values['material.density'] * log_uniform(rng, 0.02, 3.0):.9g}")
+
+
+def _draw_laws(rng: np.random.Generator, values: dict[str, Any]) -> list[str]:
+    """Let half of the sheets have laws for fabrics; its generator is separate, so that other draws stay the same."""
+    if "cloth.springs" in values or rng.random() < 0.5:
+        return []
+    has_bending = bool(rng.random() < 0.7)
+    if has_bending:
+        for name in ("bending.stiffness", "bending.rest_angle"):
+            values.pop(name, None)
+        values |= fabric_bending(rng)
+    if not has_bending or rng.random() < 0.5:
+        values |= fabric_membrane(rng, values)
+    return ["fabric of " + law_words(values)]
+
+
+def law_words(values: Mapping[str, Any]) -> str:
+    """Return the bending model of a scene, its friction and its triangles in words."""
+    words = [str(values["bending.model"])]
+    if "bending.friction_moment" in values:
+        words.append("friction of bending")
+    if "membrane.model" in values:
+        words.append("stiffening triangles" if "material.warp_stiffening" in values else "triangles")
+    return " with ".join(words)
+
+
+def fabric_bending(rng: np.random.Generator) -> dict[str, Any]:
+    """Draw a bending model of fabrics, with or without friction."""
+    model = str(rng.choice(["shape_operator", "quadratic", "crossed", "altitude"], p=[0.4, 0.2, 0.2, 0.2]))
+    values: dict[str, Any] = {"bending.model": model, "material.bending_modulus": log_uniform(rng, 1e-7, 1e-3)}
+    if model == "shape_operator" and rng.random() < 0.5:
+        values["material.bending_modulus_weft"] = values["material.bending_modulus"] * log_uniform(rng, 0.1, 10.0)
+    if model in ("crossed", "altitude") or (model == "quadratic" and rng.random() < 0.5):
+        values |= bending_friction(rng, values["material.bending_modulus"])
+    return values
+
+
+def bending_friction(rng: np.random.Generator, modulus: float) -> dict[str, Any]:
+    """Draw internal friction of bending, elastic up to a curvature of 0.01 to 5/m, up to ten times a modulus [N m]."""
+    curvature = log_uniform(rng, 0.01, 5.0)
+    moment = float(f"{modulus * curvature * log_uniform(rng, 0.1, 10.0):.9g}")
+    return {"bending.friction_moment": moment, "bending.yield_curvature": curvature}
+
+
+def fabric_membrane(rng: np.random.Generator, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw membrane triangles, half of which stiffen with strain."""
+    stretch = values["material.stretch_modulus"]
+    drawn: dict[str, Any] = {
+        "membrane.model": "triangles",
+        "material.shear_modulus": stretch * log_uniform(rng, 0.01, 0.5),
+        "material.poisson_ratio": float(rng.uniform(-0.3, 0.5)),
+        "material.stretch_modulus_weft": stretch * log_uniform(rng, 0.5, 2.0),
+        "material.warp_direction": [*drawn_alike(rng.normal(size=2)).tolist(), 0.0],
+    }
+    if rng.random() < 0.5:
+        for name in ("warp", "weft", "shear"):
+            drawn[f"material.{name}_stiffening"] = [log_uniform(rng, 0.005, 0.2), log_uniform(rng, 2.0, 30.0)]
+    return drawn
 
 
 def upright_orientation(rng: np.random.Generator) -> list[float]:

@@ -47,6 +47,8 @@ class RecordedRun:
     #: (3, n) each [m], [m/s]; one more than frames.
     positions: list[Array]
     velocities: list[Array]
+    #: Plastic lengths of hinges with friction, one more than frames [m]; empty arrays without friction of bending.
+    plastic_lengths: list[Array]
     frames: list[RecordedFrame]
     #: Largest difference of accelerations, see `MAX_FORCE_MISMATCH`.
     mismatch: float
@@ -65,6 +67,7 @@ def record_run(draw: RandomScene) -> RecordedRun:
     player = RandomGripPlayer(draw.script, simulation)
     system = ReferenceSystem(simulation.model)
     positions, velocities = [simulation.state.x.copy()], [simulation.state.v.copy()]
+    plastic_lengths = [_plastic_lengths(simulation)]
     frames: list[RecordedFrame] = []
     mismatch, trouble = _mismatch(simulation, system, None, 0.0), ""
     grips_compared = False
@@ -93,15 +96,23 @@ def record_run(draw: RandomScene) -> RecordedRun:
         )
         positions.append(simulation.state.x.copy())
         velocities.append(simulation.state.v.copy())
+        plastic_lengths.append(_plastic_lengths(simulation))
     return RecordedRun(
         draw=draw,
         system=system,
         positions=positions,
         velocities=velocities,
+        plastic_lengths=plastic_lengths,
         frames=frames,
         mismatch=mismatch,
         trouble=trouble,
     )
+
+
+def _plastic_lengths(simulation: Simulation) -> Array:
+    """Return the plastic lengths of hinges with friction [m], shape (hinges,)."""
+    plastic = simulation.plan.plastic
+    return np.empty(0) if plastic is None else plastic.of(simulation.state.memory).copy()
 
 
 def _grasped_particles(
@@ -140,6 +151,7 @@ def _mismatch(simulation: Simulation, system: ReferenceSystem, grasped: GripTabl
     expected = np.empty_like(x)
     simulation.plan.accelerations(t + since, x, v, expected, state.memory)
     system.set_grasped(grasped, t)
+    system.set_plastic_lengths(_plastic_lengths(simulation))
     accelerations = system.accelerations(x, v, since=since)
     # Stiff springs convert the rounding of positions to accelerations.
     rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(x).max()) * simulation.plan.spectral_bounds(x)[0]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.ros.io.stamps import StampGate
+from cloth_sim_ros.ros.io.stamps import STAMP_EXPIRY, StampGate
 
 #: Largest number of states that wait for their frame, and of publishers with different joints.
 _MAX_WAITING, _MAX_PUBLISHERS = 4096, 256
@@ -19,7 +19,7 @@ class JointStates:
     """Newest positions of a robot's joints, from joint states that take effect by stamp.
 
     States of one list of names are ordered by stamp, as commands of one gripper. States of other names are another
-    publisher's. The newest stamp of each joint counts.
+    publisher's. The newest stamp of each joint counts. After a silence of the joint an older one counts too.
 
     Args:
         names: names of the joints; joints of other names are ignored.
@@ -58,7 +58,8 @@ class JointStates:
 
         Raises:
             StampError: for a stamp that is refused.
-            ValueError: for another number of positions than of names, and for positions that are not finite.
+            ValueError: for another number of positions than of names, for a joint that is named twice, and for
+                positions that are not finite.
         """
         key = tuple(names)
         if key not in self._publishers:
@@ -72,11 +73,20 @@ class JointStates:
             return False
         if len(positions) != len(key):
             raise ValueError(f"it names {len(key)} joints and gives {len(positions)} positions; give one for each name")
+        if len(set(of_joints.tolist())) != len(of_joints):
+            repeated = next(name for k, name in enumerate(key) if name in self._indices and name in key[:k])
+            raise ValueError(f"it names joint '{repeated}' twice; give each joint one position")
         values = np.asarray(positions, dtype=np.float64)[of_message]
         if not np.isfinite(values).all():
             k = int(np.argmin(np.isfinite(values)))
             raise ValueError(f"the position of joint '{key[of_message[k]]}' is {values[k]}; it must be finite")
-        self._waiting.append((gate.accept(stamp, now), of_joints, values))
+        effective = gate.accept(stamp, now)
+        self._waiting.append((effective, of_joints, values))
+        silent = of_joints[now - self._arrivals[of_joints] >= STAMP_EXPIRY]
+        if (self._stamps[silent] > effective).any():
+            # The gate accepts the older stamps of a restarted publisher, so that its joints do too.
+            self._stamps[silent] = np.minimum(self._stamps[silent], effective)
+            self.stamp = int(self._stamps.max())
         self._arrivals[of_joints] = now
         del self._waiting[:-_MAX_WAITING]
         return True

@@ -108,6 +108,7 @@ class RobotFollower:
         must_send, self._must_send = self._must_send, False
         if not (is_changed or self._needs_poll or must_send):
             return []
+        accepted = None if self._stops is None else self._stops.accepted
         try:
             positions = self._states.positions if self._stops is None else self._stops.stopped(self._states.positions)
             poses = link_poses(self._links, positions, self._frames, self._settings)
@@ -118,6 +119,9 @@ class RobotFollower:
                 self._simulation.check(event)
         except (FrameError, EventError) as error:
             self._has_failed, self._must_send = True, must_send
+            if self._stops is not None:
+                # The fingers stay where they are, too: the next state moves them from there.
+                self._stops.accepted = accepted
             self._log.warn("robot", f"the robot's links stay where they are: {error}")
             return []
         if self._has_failed:

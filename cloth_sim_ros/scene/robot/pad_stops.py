@@ -17,14 +17,18 @@ from cloth_sim_ros.scene.scene import Scene
 
 #: Bisections of a step of the joints: they find the stop within 1 % of the step.
 _BISECTIONS = 7
+#: Largest number of joints that move two pads of one hand relative to each other. More are those of two arms, whose
+#: joints must not stop.
+_MAX_HAND_JOINTS = 8
 
 
 class PadStops:
     """Stops the joints of fingers before their pads come closer than `robot.pad_gap` contact thicknesses.
 
-    Two pads are a pair if they belong to one hand and different joints move them. Each side of a cloth's layer then has
-    half the gap, and its contact pushes back. Without stops a closed gripper would crush the layer, and all obstacles
-    would stop. Pads of two hands, and of two links of one finger, may come closer.
+    Two pads are a pair if they belong to one hand and different joints move them. Pads that more than eight joints move
+    relative to each other belong to two arms. Each side of a cloth's layer then has half the gap, and its contact pushes
+    back. Without stops a closed gripper would crush the layer, and all obstacles would stop. Pads of two hands, and of
+    two links of one finger, may come closer.
 
     Args:
         scene: has the pads as obstacles, `robot.pads`, `robot.pad_gap` and `contact.thickness`.
@@ -55,8 +59,11 @@ class PadStops:
                 continue
             # Fingers that mimic one joint share all joints; that one is the last of them.
             last = chains[max((a, b), key=bodies.__getitem__)]
-            self._pairs.append((a, b, sorted(set(chains[a]) ^ set(chains[b])) or last[:1]))
-        self._accepted: Array | None = None
+            joints = sorted(set(chains[a]) ^ set(chains[b])) or last[:1]
+            if len(joints) <= _MAX_HAND_JOINTS:
+                self._pairs.append((a, b, joints))
+        #: Positions of the joints in force [rad or m]; None before the first ones.
+        self.accepted: Array | None = None
 
     def update(self, scene: Scene) -> None:
         """Use the contact thickness of a changed scene for the smallest gap between pads."""
@@ -78,13 +85,13 @@ class PadStops:
         for a, b, joints in self._pairs:
             if self._gap(a, b, poses) >= self._min_gap:
                 continue
-            if self._accepted is None:
+            if self.accepted is None:
                 break
             open_positions = result.copy()
-            open_positions[joints] = self._accepted[joints]
+            open_positions[joints] = self.accepted[joints]
             result = open_positions + self._fraction(a, b, open_positions, result) * (result - open_positions)
             poses = self._links.poses(result)
-        self._accepted = result
+        self.accepted = result
         return result
 
     def _fraction(self, a: int, b: int, start: Array, end: Array) -> float:

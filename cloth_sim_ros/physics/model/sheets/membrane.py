@@ -34,6 +34,8 @@ from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriang
 
 #: Sine of the angle between a triangle's normal and the warp, below which the triangle shows no direction of the warp.
 MIN_SINE = 0.01
+#: Smallest strain at which a modulus stops growing: the square of a much smaller one underflows.
+MIN_STIFFENING_STRAIN = 1e-12
 
 
 @attrs.frozen(kw_only=True)
@@ -60,10 +62,11 @@ class FabricModuli:
         for name in ("warp_stiffening", "weft_stiffening", "shear_stiffening"):
             strain, factor = getattr(self, name)
             least = 1.0 if name == "shear_stiffening" else 1.0 + 3.0 * _green_strain(strain)
-            if not strain >= 0.0 or (factor != 1.0 and not (strain > 0.0 and factor >= least)):
+            if not strain >= 0.0 or (factor != 1.0 and not (strain >= MIN_STIFFENING_STRAIN and factor >= least)):
                 raise ValueError(
-                    f"{name} is {[strain, factor]}; the strain must be above 0 and the factor at least {least:.4g}, "
-                    "which the geometry alone gives at that strain; [0.0, 1.0] is a constant modulus"
+                    f"{name} is {[strain, factor]}; the strain must be at least {MIN_STIFFENING_STRAIN:g} and the "
+                    f"factor at least {least:.4g}, which the geometry alone gives at that strain; [0.0, 1.0] is a "
+                    "constant modulus"
                 )
         if not self.coupling_square < 1.0:
             limit = math.sqrt(self.warp / self.weft)
@@ -209,7 +212,8 @@ def membrane(
         viscosities = stiffness * (viscosity / moduli.warp)
     else:
         unit = k_d0 * math.sqrt(density)
-        viscosities = unit * np.sqrt(stiffness)
+        # The coupling is negative for a negative Poisson's ratio.
+        viscosities = unit * np.sqrt(np.array([warp_stiffness, 0.0, weft_stiffness, shear]))
         viscosities[1] = unit * coupling / math.sqrt(math.sqrt(warp_stiffness * weft_stiffness))
     corners = thread_coordinates(positions, triangles, warp)
     return MembraneTriangles(

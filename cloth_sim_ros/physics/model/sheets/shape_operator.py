@@ -102,7 +102,8 @@ class ShapeOperator:
         for modulus, weights in zip(moduli, np.moveaxis(self.weights, 1, 0), strict=True):
             for column in range(_STENCIL):
                 squares += modulus * self.areas * (weights[:, column] * weights[:, column] * inverse[:, column])
-        return damping * math.sqrt(2.0 / float(squares.max()))
+        highest = float(squares.max())
+        return damping * math.sqrt(2.0 / highest) if highest > 0.0 else 0.0
 
 
 def _opposite_half_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
