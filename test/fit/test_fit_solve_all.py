@@ -11,8 +11,9 @@ import pytest
 from support.motion_samples import scene_of
 
 from cloth_sim_ros.fit.alignment import FIXED, AlignmentModel
+from cloth_sim_ros.fit.difference_steps import MAX_STEP, ROUGH_STEP
 from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point, scatter_deviations
-from cloth_sim_ros.fit.motions import MAX_STEP, ROUGH_STEP, solve_all
+from cloth_sim_ros.fit.motions import solve_all
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.recorded import Recording

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits of swings about the true parameters, and the best possible deviations.
 
-The residuals are linear in the parameters, with derivatives by simulations, and exact in time offset and camera pose.
-Noise model, weights and intervals are those of the program. Such a fit takes a second, a real one minutes.
+The residuals are linear in the parameters, and exact in time offset and camera pose. A fit takes its derivatives from
+two linearizations, as the program does, and the residuals respond by a third one. Short waves of all three are
+independent. Noise model, weights and intervals are those of the program. Such a fit takes a second, a real one minutes.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel, alignment_derivatives
-from cloth_sim_ros.fit.clusters import Covariance, jackknife_covariance
+from cloth_sim_ros.fit.clusters import Covariance, jackknife_covariance, noise_covariance
+from cloth_sim_ros.fit.difference_steps import DifferenceSteps
 from cloth_sim_ros.fit.hypotheses import pivot_of, selections
-from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point
-from cloth_sim_ros.fit.motions import TOLERANCE, align_all, replace_alignment
+from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point, missing_information
+from cloth_sim_ros.fit.motions import MAX_LINEARIZATIONS, TOLERANCE, align_all, replace_alignment
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
@@ -29,10 +31,8 @@ from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
 from validation.reality import swing_samples as samples
 
-#: Difference step of the derivatives.
-_STEP = 0.03
 #: Iterations of a linear fit.
-_ITERATIONS = 5
+_ITERATIONS = 8
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -42,8 +42,10 @@ class Linearized:
     parameters: tuple[FitParameter, ...]
     #: State of a problem with the complete, noise-free clouds.
     point: Point
-    slopes: list[list[Array]]
-    """For each motion and parameter, the derivatives of all clouds [m], shape (clouds, particles, 3)."""
+    #: Derivatives by the last two linearizations.
+    derivatives: Derivatives
+    #: Derivatives by a further linearization, by which the residuals change.
+    response: Derivatives
 
 
 def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter], pool: TrajectoryPool) -> JointProblem:
@@ -63,9 +65,17 @@ def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter],
     )
 
 
-def linearize(exact: Sequence[Array], pool: TrajectoryPool) -> Linearized:
-    """Return the derivatives of the motions at the true parameters; `exact` are their frames."""
-    parameters = choose_parameters(samples.swing_scene({}), list(samples.TRUTH))
+def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linearized:
+    """Return the derivatives of the motions at the true parameters.
+
+    The difference steps are those of a fit to the clouds of a seed.
+
+    Args:
+        exact: true frames of each motion.
+        seed: seed of the camera.
+        pool: processes of the simulations.
+    """
+    parameters = tuple(choose_parameters(samples.swing_scene({}), list(samples.TRUTH)))
     whole = [samples.complete_recording(k, frames) for k, frames in enumerate(exact)]
     problem = prepare(whole, parameters, pool)
     selected = range(len(whole))
@@ -75,38 +85,83 @@ def linearize(exact: Sequence[Array], pool: TrajectoryPool) -> Linearized:
     if isinstance(point, str):
         raise ValueError(point)
     point = replace_alignment(problem, point, selected, align_all(problem, point, selected))
-    steps = np.full(len(parameters), _STEP)
-    derivatives = problem.differentiate(point, selected, steps, TOLERANCE, central=True)
-    slopes = [[np.array(by_cloud) for by_cloud in motion] for motion in derivatives.slopes]
-    return Linearized(parameters=tuple(parameters), point=point, slopes=slopes)
+    recorded = _Recorded.at_truth(parameters, point, exact, seed, pool)
+    steps, previous = DifferenceSteps.initial(len(parameters)), None
+    for _ in range(MAX_LINEARIZATIONS):
+        derivatives = problem.differentiate(point, selected, steps.steps, TOLERANCE, central=True)
+        if previous is not None:
+            derivatives.other_slopes = previous.slopes
+        steps = steps.following(derivatives, recorded.noise_deviations(derivatives))
+        if previous is not None and not steps.is_rough:
+            break
+        previous = derivatives
+    response = problem.differentiate(point, selected, steps.steps, TOLERANCE, central=True)
+    return Linearized(parameters=parameters, point=point, derivatives=derivatives, response=response)
+
+
+@attrs.define(kw_only=True, eq=False)
+class _Recorded:
+    """Clouds of one seed, and the motions at the true parameters."""
+
+    problem: JointProblem
+    point: Point
+    #: For each motion, the index of each cloud among all clouds, and masks of its seen particles.
+    rows: list[tuple[NDArray[np.int64], list[NDArray[np.bool_]]]]
+
+    @classmethod
+    def at_truth(
+        cls,
+        parameters: Sequence[FitParameter],
+        truth: Point,
+        exact: Sequence[Array],
+        seed: int,
+        pool: TrajectoryPool,
+    ) -> _Recorded:
+        recordings = [samples.record_motion(k, frames, seed) for k, frames in enumerate(exact)]
+        problem = prepare(recordings, parameters, pool)
+        rows = [
+            (np.rint(recording.times * samples.CLOUD_RATE).astype(np.int64), [visible(c) for c in recording.clouds])
+            for recording in recordings
+        ]
+        # Trajectories count frames from the start of their recording, which depends on its first cloud.
+        problem.recordings = [
+            attrs.evolve(recording, frames=recording.frames + original.times[0] * samples.FRAME_RATE)
+            for recording, original in zip(problem.recordings, recordings, strict=True)
+        ]
+        selected = range(len(recordings))
+        point = Point(theta=problem.start, eta=truth.eta.copy(), trajectories=truth.trajectories, residuals=[])
+        point = replace_alignment(problem, point, selected, align_all(problem, point, selected))
+        return cls(problem=problem, point=point, rows=rows)
+
+    def seen(self, derivatives: Derivatives) -> Derivatives:
+        """Return the derivatives of the seen particles; `derivatives` are of all clouds and particles."""
+        slopes, other_slopes = (
+            [
+                [[by_cloud[c][mask] for c, mask in zip(*rows, strict=True)] for by_cloud in motion]
+                for motion, rows in zip(parts, self.rows, strict=bool(parts))
+            ]
+            for parts in (derivatives.slopes, derivatives.other_slopes)
+        )
+        return attrs.evolve(derivatives, slopes=slopes, other_slopes=other_slopes, curvatures=[])
+
+    def noise_deviations(self, derivatives: Derivatives) -> Array:
+        """Return the standard deviations of the logarithms by the noise, shape (p,)."""
+        selected = range(len(self.rows))
+        noise = self.problem.smooth_noise(self.point, selected, HUBER)
+        seen = self.seen(derivatives)
+        equations = self.problem.normal_equations(self.point, seen, selected, noise)
+        solution = JointSolution(
+            point=self.point, derivatives=seen, noise=noise, equations=equations, is_converged=True
+        )
+        return noise_covariance(self.problem, solution, selected).deviations
 
 
 def linear_fit(linearized: Linearized, exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> LinearFit:
     """Return a fit to the clouds of one seed, linear in the parameters."""
-    recordings = [samples.record_motion(k, frames, seed) for k, frames in enumerate(exact)]
-    problem = prepare(recordings, linearized.parameters, pool)
-    selected, p = range(len(recordings)), len(linearized.parameters)
-    rows, slopes = [], []
-    for k, recording in enumerate(recordings):
-        stamps = np.rint(recording.times * samples.CLOUD_RATE).astype(np.int64)
-        seen = [visible(cloud) for cloud in recording.clouds]
-        rows.append((stamps, seen))
-        slopes.append(
-            [
-                [by_cloud[stamp][mask] for stamp, mask in zip(stamps, seen, strict=True)]
-                for by_cloud in linearized.slopes[k]
-            ]
-        )
-    derivatives = Derivatives(slopes=slopes, curvatures=[], steps=np.full(p, _STEP))
-    # Trajectories count frames from the start of their recording, which depends on its first cloud.
-    problem.recordings = [
-        attrs.evolve(recording, frames=recording.frames + original.times[0] * samples.FRAME_RATE)
-        for recording, original in zip(problem.recordings, recordings, strict=True)
-    ]
-    trajectories = linearized.point.trajectories
-    theta, eta = problem.start, linearized.point.eta.copy()
-    point = Point(theta=theta, eta=eta, trajectories=trajectories, residuals=[])
-    point = replace_alignment(problem, point, selected, align_all(problem, point, selected))
+    recorded = _Recorded.at_truth(linearized.parameters, linearized.point, exact, seed, pool)
+    problem, point, p = recorded.problem, recorded.point, len(linearized.parameters)
+    selected = range(len(exact))
+    derivatives, response = recorded.seen(linearized.derivatives), recorded.seen(linearized.response).slopes
     noise = problem.smooth_noise(point, selected, HUBER)
     for _ in range(_ITERATIONS):
         noise = problem.update_noise(noise, point, selected, 2)
@@ -118,7 +173,7 @@ def linear_fit(linearized: Linearized, exact: Sequence[Array], seed: int, pool: 
         base = replace_alignment(problem, point, selected, eta).residuals
         residuals = [
             [
-                r + sum(change * slopes[k][i][c] for i, change in enumerate(theta - problem.start))
+                r + sum(change * response[k][i][c] for i, change in enumerate(theta - problem.start))
                 for c, r in enumerate(part)
             ]
             for k, part in enumerate(base)
@@ -129,7 +184,7 @@ def linear_fit(linearized: Linearized, exact: Sequence[Array], seed: int, pool: 
     return LinearFit(
         errors=point.theta - problem.start,
         covariance=covariance,
-        best=best_deviations(problem, solution, rows, seed),
+        best=best_deviations(problem, solution, recorded.rows, seed),
         naive=np.sqrt(np.diag(np.linalg.inv(matrix))[:p]),
     )
 
@@ -170,7 +225,8 @@ def best_deviations(
     p = len(problem.parameters)
     prior, _ = problem.prior(solution.point)
     prior[:p] *= 1e-6
-    total = np.diag(prior)
+    total, squares = np.diag(prior), np.diag(prior)
+    sets = (solution.derivatives.slopes, solution.derivatives.other_slopes)
     for k, (stamps, seen) in enumerate(rows):
         kinds, places = problem.alignment.columns(k)
         alignment = problem.alignment.alignment(solution.point.eta, k)
@@ -182,13 +238,22 @@ def best_deviations(
             problem.used[k],
             kinds.tolist(),
         )
-        jacobian = np.array([np.concatenate(by) for by in (*solution.derivatives.slopes[k], *by_alignment)])
         clouds = np.concatenate([np.full(int(m.sum()), stamp) for stamp, m in zip(stamps, seen, strict=True)])
         particles = np.concatenate([np.flatnonzero(m) for m in seen])
         covariance = samples.noise_covariance(clouds, particles, samples.noise_amplitudes(k, seed))
         factor = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(factor, jacobian.transpose(1, 0, 2).reshape(len(clouds), -1))
-        white = white.reshape(len(clouds), len(jacobian), 3)
+        first, second = (
+            np.linalg.solve(factor, np.moveaxis(jacobian, 0, 1).reshape(len(clouds), -1))
+            for jacobian in (np.array([np.concatenate(by) for by in (*slopes[k], *by_alignment)]) for slopes in sets)
+        )
         columns = np.concatenate([np.arange(p), p + places])
-        total[np.ix_(columns, columns)] += np.einsum("nia,nja->ij", white, white)
+        for matrix, (a, b) in (
+            (total, (first, second)),
+            (total, (second, first)),
+            (squares, (first + second, first + second)),
+        ):
+            shapes = (len(clouds), len(columns), 3)
+            product = np.einsum("nia,nja->ij", a.reshape(shapes), b.reshape(shapes))
+            matrix[np.ix_(columns, columns)] += (0.5 if matrix is total else 0.25) * product
+    total[:p, :p] += missing_information(total, squares, p)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(total))[:p]))

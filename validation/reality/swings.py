@@ -157,7 +157,7 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
 def _report_linear(report: Report, options: argparse.Namespace) -> None:
     exact = [samples.exact_motion(k, samples.TRUTH) for k in range(options.motions)]
     with TrajectoryPool(options.workers) as pool:
-        linearized = linearize(exact, pool)
+        linearized = linearize(exact, options.first, pool)
         fits = [
             linear_fit(linearized, exact, seed, pool) for seed in range(options.first, options.first + options.linear)
         ]
