@@ -309,6 +309,11 @@ class JointProblem:
                 gradient[row][columns] += np.einsum("ind,nd->i", weighted, r)
                 loss[row] += weight.loss
         if derivatives.other_slopes:
+            shares = smooth_shares(information[:, :p, :p], squares[:, :p, :p])
+            information *= shares[:, None, None]
+            squares *= shares[:, None, None]
+            gradient *= shares[:, None]
+        if derivatives.other_slopes:
             prior = np.diag(self.prior(point)[0])
             missing = missing_information(information.sum(axis=0) + prior, squares.sum(axis=0) + prior, p)
             information[:, :p, :p] += missing / len(selected)
@@ -468,6 +473,22 @@ def _line_search(
             return moved
         scaled = scaled * _REDUCTION
     return None
+
+
+def smooth_shares(products: Array, squares: Array) -> Array:
+    """Return the share of each recording's information that is not of short waves, from 0 to 1, shape (recordings,).
+
+    Weights of this size give the smallest variance: short waves add to the variance of a gradient, but not to the
+    information. docs/derivations/fit.md derives them.
+
+    Args:
+        products: information by products of two sets of slopes, shape (recordings, p, p).
+        squares: information by the square of the mean of both sets, likewise.
+    """
+    inverse = np.linalg.pinv(squares.sum(axis=0), hermitian=True)
+    total = np.einsum("ij,kij->k", inverse, squares)
+    smooth = np.einsum("ij,kij->k", inverse, products)
+    return np.clip(smooth / np.maximum(total, np.finfo(float).tiny), 0.0, 1.0)
 
 
 def missing_information(product: Array, square: Array, p: int) -> Array:

@@ -23,7 +23,7 @@ from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_paramete
 from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.recording import FitRecording, check_recording, visible
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
-from cloth_sim_ros.fit.scores import Score, driven_floor, rigid_distances, score
+from cloth_sim_ros.fit.scores import Score, driven_floors, excess_misfit, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION
@@ -63,6 +63,8 @@ class MotionScore:
     rigid: Score
     #: True if no parameter was fitted on it.
     is_held_out: bool
+    #: Camera's error at the driven particles; None if nothing was fitted on the motion, or if it shows none of them.
+    floor: Score | None = None
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -93,6 +95,8 @@ class MotionFit:
     #: Error of the driven particles as the camera shows them, and its description.
     floor: Score | None
     floor_basis: str
+    #: Part of the error that the floor does not explain [m]; None if it explains all.
+    excess: float | None
     n_clouds: int
     n_recorded_clouds: int
     left_out: LeftOut
@@ -415,14 +419,16 @@ def _build(
         _estimate(parameter, float(theta), covariance, k, within, doubt)
         for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))
     ]
-    motions = _score_motions(problem, solution, covariance, inside, outside)
+    floors, basis = driven_floors(problem, point, inside)
+    by_motion = dict(zip(inside, floors, strict=bool(floors)))
+    motions = _score_motions(problem, solution, covariance, inside, outside, by_motion)
     entries_without = [entry for entry in motions if entry.is_held_out]
     typical = float(np.median([entry.model.rms for entry in motions]))
     model, n_seen = problem.alignment, [int(visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
     n_points = sum(len(c) for k in inside for c in _used_clouds(problem, k))
     noise = solution.noise
     smooth = float(noise.variances.sum())
-    floor, basis = driven_floor(problem, point, inside)
+    compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
     information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-12), dtype=np.float64)
     return MotionFit(
         name=", ".join(r.name for r in recordings[:3])
@@ -438,11 +444,12 @@ def _build(
         sigma=noise.sigma,
         smooth_share=smooth / (smooth + noise.sigma**2),
         fitted=score([np.linalg.norm(r, axis=1) for part in point.residuals for r in part]),
-        held_out=_pool_scores([entry.model for entry in entries_without]) if entries_without else None,
-        rigid=_pool_scores([entry.rigid for entry in (entries_without or motions)]),
+        held_out=pooled_score([entry.model for entry in entries_without]),
+        rigid=score([entry.rigid.distances for entry in (entries_without or motions)]),
         motions=tuple(motions),
-        floor=floor,
+        floor=pooled_score(floors),
         floor_basis=basis,
+        excess=excess_misfit(*zip(*compared, strict=True)) if compared else None,
         n_clouds=sum(len(problem.used[k]) for k in inside),
         n_recorded_clouds=sum(len(r.clouds) for r in recordings),
         left_out=left_out,
@@ -501,8 +508,9 @@ def _score_motions(
     covariance: Covariance,
     inside: Sequence[int],
     outside: Sequence[int],
+    floors: Mapping[int, Score],
 ) -> list[MotionScore]:
-    """Return the scores of each motion, by the parameters of a fit without it."""
+    """Return the scores of each motion, by the parameters of a fit without it; `floors` are by index."""
     point, p = solution.point, len(problem.parameters)
     indices = sorted([*inside, *outside])
     unknowns = {}
@@ -529,10 +537,7 @@ def _score_motions(
                 model=score(distances),
                 rigid=score(rigid_distances(problem, k, result, eta)),
                 is_held_out=k in outside or (not outside and covariance.without is not None),
+                floor=floors.get(k),
             )
         )
     return scores
-
-
-def _pool_scores(scores: Sequence[Score]) -> Score:
-    return score([entry.distances for entry in scores])

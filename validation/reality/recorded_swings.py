@@ -26,7 +26,7 @@ from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
-from cloth_sim_ros.fit.scores import Score, driven_floor, rigid_distances, score
+from cloth_sim_ros.fit.scores import Score, driven_floors, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
@@ -123,7 +123,7 @@ class _Evaluation:
 
     def floor(self) -> Score | None:
         """Return the error of the camera at the held particles."""
-        return driven_floor(self.problem, self.point, range(len(self.problem.recordings)))[0]
+        return pooled_score(driven_floors(self.problem, self.point, range(len(self.problem.recordings)))[0])
 
 
 def run(options: argparse.Namespace) -> Report:
