@@ -501,7 +501,7 @@ def smooth_shares(products: Array, squares: Array) -> Array:
     """Return the share of each recording's information that is not of short waves, from 0 to 1, shape (recordings,).
 
     Weights of this size give the smallest variance: short waves add to the variance of a gradient, but not to the
-    information. docs/derivations/fit.md derives them.
+    information. docs/derivations/fit_motions.md derives them.
 
     Args:
         products: information by products of two sets of slopes, shape (recordings, p, p).

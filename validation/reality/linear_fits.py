@@ -86,8 +86,8 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
     point = problem.evaluate(problem.start, np.zeros(problem.alignment.n_unknowns), selected, TOLERANCE)
     if isinstance(point, str):
         raise ValueError(point)
-    point = replace_alignment(problem, point, selected, align_all(problem, point, selected))
-    recorded = _Recorded.at_truth(parameters, problem.recordings, point, exact, seed, selected, pool)
+    point = aligned(problem, replace_alignment(problem, point, selected, align_all(problem, point, selected)))
+    recorded = LossyClouds.at_truth(parameters, problem.recordings, point, exact, seed, selected, pool)
     steps, previous = DifferenceSteps.initial(len(parameters)), None
     for _ in range(MAX_LINEARIZATIONS):
         derivatives = problem.differentiate(point, selected, steps.steps, TOLERANCE, central=True)
@@ -107,8 +107,21 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
     )
 
 
+def aligned(problem: JointProblem, point: Point) -> Point:
+    """Return a point of all motions with the best alignment at its parameters: a search has a grid of time offsets."""
+    selected, p = range(len(problem.recordings)), len(point.theta)
+    none = [[[np.zeros_like(r) for r in part]] * p for part in point.residuals]
+    derivatives = Derivatives(slopes=none, curvatures=[], steps=np.ones(p))
+    for _ in range(_ITERATIONS):
+        noise = problem.white_noise(point, HUBER)
+        equations = problem.normal_equations(point, derivatives, selected, noise)
+        information, gradient = (part.sum(axis=0)[p:] for part in (equations.information, equations.gradient))
+        point = replace_alignment(problem, point, selected, point.eta - np.linalg.solve(information[:, p:], gradient))
+    return point
+
+
 @attrs.define(kw_only=True, eq=False)
-class _Recorded:
+class LossyClouds:
     """Clouds of some motions by one seed of the camera, and these motions at the true parameters."""
 
     motions: Sequence[int]
@@ -127,7 +140,7 @@ class _Recorded:
         seed: int,
         motions: Sequence[int],
         pool: TrajectoryPool,
-    ) -> _Recorded:
+    ) -> LossyClouds:
         recordings = [samples.record_motion(k, exact[k], seed) for k in motions]
         problem = prepare(recordings, parameters, pool)
         rows = [
@@ -185,9 +198,9 @@ class _Recorded:
 
 def _recorded(
     linearized: Linearized, exact: Sequence[Array], seed: int, pool: TrajectoryPool, motions: Sequence[int]
-) -> _Recorded:
+) -> LossyClouds:
     parts = linearized.parameters, linearized.recordings, linearized.point
-    return _Recorded.at_truth(*parts, exact, seed, motions, pool)
+    return LossyClouds.at_truth(*parts, exact, seed, motions, pool)
 
 
 def linear_fit(
@@ -285,7 +298,7 @@ class LinearFit:
         return np.asarray(t.ppf(0.5 + 0.5 * level, self.covariance.freedoms) * self.covariance.deviations)
 
 
-def best_deviations(recorded: _Recorded, solution: JointSolution, seed: int) -> Array:
+def best_deviations(recorded: LossyClouds, solution: JointSolution, seed: int) -> Array:
     """Return the Cramer-Rao bounds of the logarithms, with the true covariance of the camera's errors.
 
     Args:
