@@ -28,8 +28,12 @@ _NOISE_STEPS = 4
 _MAX_REDUCTIONS, _REDUCTION = 4, 0.35
 #: Converged step [standard deviations], and of a logarithm.
 _CONVERGED_FRACTION, _CONVERGED_STEP = 0.1, 1e-5
+#: Eigenvalue of the information below which a direction is unknown, relative to the largest.
+_MIN_EIGENVALUE = 1e-6
 #: Least share of the information that is not of short waves, in any direction of the unknowns.
 _MIN_SHARE = 0.1
+#: Degrees of freedom of the recordings' distribution.
+_MOTION_FREEDOM = 4.0
 #: Least number of recordings whose scatter gives standard deviations.
 _MIN_SCATTERED = 5
 
@@ -79,6 +83,8 @@ class NormalEquations:
     gradient: Array
     #: Loss of each recording, shape (recordings,).
     loss: Array
+    #: Weight of each recording in information and gradient, shape (recordings,).
+    weights: Array
 
 
 @attrs.define(kw_only=True, eq=False)
@@ -274,12 +280,25 @@ class JointProblem:
         return float(total + 0.5 * distance @ distance + 0.5 * aligned @ aligned)
 
     def normal_equations(
-        self, point: Point, derivatives: Derivatives, selected: Sequence[int], noise: NoiseModel
+        self,
+        point: Point,
+        derivatives: Derivatives,
+        selected: Sequence[int],
+        noise: NoiseModel,
+        weights: Array | None = None,
     ) -> NormalEquations:
         """Return the normal equations of each selected recording, without the prior.
 
         Two sets of slopes have independent short waves. Their products contain no square of these, which would make
         the information too large.
+
+        Args:
+            point: parameters and residuals.
+            derivatives: slopes of the residuals.
+            selected: indices of the recordings.
+            noise: noise model.
+            weights: weight of each recording, shape (recordings,); by default, that of its gradient if there are two
+                sets of slopes.
         """
         p, q = len(point.theta), len(point.eta)
         information, squares = np.zeros((2, len(selected), p + q, p + q))
@@ -309,10 +328,17 @@ class JointProblem:
                 gradient[row][columns] += np.einsum("ind,nd->i", weighted, r)
                 loss[row] += weight.loss
         if derivatives.other_slopes:
+            if weights is None:
+                shares = smooth_shares(information[:, :p, :p], squares[:, :p, :p])
+                weights = shares * motion_weights(shares[:, None, None] * information, shares[:, None] * gradient)
+            information *= weights[:, None, None]
+            squares *= weights[:, None, None]
+            gradient *= weights[:, None]
             prior = np.diag(self.prior(point)[0])
             missing = missing_information(information.sum(axis=0) + prior, squares.sum(axis=0) + prior, p)
             information[:, :p, :p] += missing / len(selected)
-        return NormalEquations(information=information, gradient=gradient, loss=loss)
+        weights = np.ones(len(selected)) if weights is None else weights
+        return NormalEquations(information=information, gradient=gradient, loss=loss, weights=weights)
 
     def prior(self, point: Point) -> tuple[Array, Array]:
         """Return the diagonal of the prior's information and its gradient, shape (unknowns,) each."""
@@ -388,7 +414,7 @@ def solve_joint(
         is_converged = bool(np.all(distance <= np.maximum(converged_fraction * sigmas, _CONVERGED_STEP)))
         if is_converged or iteration == max_iterations:
             break
-        fixed = (derivatives, matrix) if chord else None
+        fixed = (derivatives, matrix, equations.weights) if chord else None
         moved = _line_search(problem, point, selected, noise, tolerance, step, fixed)
         if moved is None:
             # Short waves make the loss rough: a step within the deviations may find no lower one.
@@ -442,19 +468,20 @@ def _line_search(
     noise: NoiseModel,
     tolerance: float,
     step: Array,
-    fixed: tuple[Derivatives, Array] | None,
+    fixed: tuple[Derivatives, Array, Array] | None,
 ) -> Point | None:
     """Return the first point along a step whose cost is lower than at its start; None if there is none.
 
-    It has a lower loss. With fixed derivatives and their information, the next step must be smaller instead. Short
-    waves of a limp cloth change the loss by more than the last steps do. Averaged derivatives hardly respond to them.
+    It has a lower loss. With fixed derivatives, information and weights of recordings, the next step must be smaller
+    instead. Short waves of a limp cloth change the loss by more than the last steps do. Averaged derivatives hardly
+    respond to them.
     """
 
     def cost(at: Point) -> float:
         if fixed is None:
             return problem.loss(at, selected, noise)
-        derivatives, matrix = fixed
-        equations = problem.normal_equations(at, derivatives, selected, noise)
+        derivatives, matrix, weights = fixed
+        equations = problem.normal_equations(at, derivatives, selected, noise, weights)
         gradient = equations.gradient.sum(axis=0) + problem.prior(at)[1]
         return float(gradient @ np.linalg.solve(matrix, gradient))
 
@@ -468,6 +495,43 @@ def _line_search(
             return moved
         scaled = scaled * _REDUCTION
     return None
+
+
+def smooth_shares(products: Array, squares: Array) -> Array:
+    """Return the share of each recording's information that is not of short waves, from 0 to 1, shape (recordings,).
+
+    Weights of this size give the smallest variance: short waves add to the variance of a gradient, but not to the
+    information. docs/derivations/fit_motions.md derives them.
+
+    Args:
+        products: information by products of two sets of slopes, shape (recordings, p, p).
+        squares: information by the square of the mean of both sets, likewise.
+    """
+    inverse = np.linalg.pinv(squares.sum(axis=0), hermitian=True)
+    total = np.einsum("ij,kij->k", inverse, squares)
+    smooth = np.einsum("ij,kij->k", inverse, products)
+    return np.clip(smooth / np.maximum(total, np.finfo(float).tiny), 0.0, 1.0)
+
+
+def motion_weights(information: Array, gradient: Array) -> Array:
+    """Return the weights of recordings whose gradients have a multivariate Student distribution, shape (recordings,).
+
+    An unpredictable motion gets a small weight. The square of a gradient at the minimum lacks what its recording
+    contributes to the minimum, therefore this part is added.
+
+    Args:
+        information: information of each recording, shape (recordings, unknowns, unknowns).
+        gradient: gradient of each recording, shape (recordings, unknowns).
+    """
+    inverse = np.linalg.pinv(information.sum(axis=0), hermitian=True)
+    weights = np.ones(len(information))
+    for k, (matrix, vector) in enumerate(zip(information, gradient, strict=True)):
+        values, vectors = np.linalg.eigh(matrix)
+        known = values > _MIN_EIGENVALUE * max(float(values[-1]), np.finfo(float).tiny)
+        square = float((np.square(vectors.T @ vector)[known] / values[known]).sum())
+        square += float(np.einsum("ij,ij", inverse, matrix))
+        weights[k] = (_MOTION_FREEDOM + known.sum()) / (_MOTION_FREEDOM + square)
+    return weights
 
 
 def missing_information(product: Array, square: Array, p: int) -> Array:

@@ -74,8 +74,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("session", nargs="+", type=Path, help=files)
     names = (
-        "stretch, stretch_weft, shear, bending, bending_weft, poisson, damping, viscosity, density, drag, normal_drag, "
-        "tangential_drag, added_mass, friction, or full names such as material.stretch_modulus or table.friction"
+        "stretch, stretch_weft, shear, bending, bending_weft, bending_friction, poisson, damping, viscosity, density, "
+        "drag, normal_drag, tangential_drag, added_mass, friction, or full names such as material.stretch_modulus or "
+        "table.friction"
     )
     parser.add_argument("--parameters", required=True, metavar="NAME,NAME", help=names)
     parser.add_argument("--scene", type=Path, metavar="scene.yaml", help="the cloth; replaces the scene of a session")

@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.alignment import FIXED, PER_RECORDING, SHARED, Alignment, AlignmentModel, search_alignment
 from cloth_sim_ros.fit.clusters import MIN_MOTIONS, Covariance, jackknife_covariance, noise_covariance
+from cloth_sim_ros.fit.difference_steps import DifferenceSteps, step_bounds
 from cloth_sim_ros.fit.fit import Estimate
 from cloth_sim_ros.fit.hypotheses import GraspChoice
 from cloth_sim_ros.fit.information import ConfoundedDirection, confounded_directions
-from cloth_sim_ros.fit.joint import JointProblem, JointSolution, Point, linear_clouds, roughness, solve_joint
+from cloth_sim_ros.fit.joint import JointProblem, JointSolution, Point, linear_clouds, solve_joint
 from cloth_sim_ros.fit.noise import HUBER, median_deviation
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.recording import FitRecording, check_recording, visible
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
-from cloth_sim_ros.fit.scores import Score, driven_floor, rigid_distances, score
+from cloth_sim_ros.fit.scores import Score, driven_floors, excess_misfit, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION
@@ -35,18 +36,14 @@ SEARCH_TOLERANCE, TOLERANCE = 1e-4, 1e-4
 N_SEARCHED = 6
 #: Step at which a first search ends [standard deviations].
 _SEARCHED = 0.5
-#: Difference step of the first search, and limits of the last one's steps.
-_SEARCH_STEP, _MIN_STEP, MAX_STEP = 0.1, 0.02, 0.1
-#: Share of short waves in the differences above which a step is doubled, and its limit.
-_MAX_ROUGHNESS, ROUGH_STEP = 0.1, 0.4
-#: Ratio of the steps of two linearizations below which they are alike (logarithm), and reduction of such steps.
-_OTHER_STEP, _SHORTER = 0.25, 0.7
+#: Difference step of the first search.
+_SEARCH_STEP = 0.1
 #: Largest change of a time offset after the first search [s].
 _OFFSET_MARGIN = 0.1
 #: Iterations of the searches, and of the last search between two linearizations.
 _SEARCH_ITERATIONS, _LAST_ITERATIONS = 6, 8
 #: Number of linearizations of all recordings.
-_MAX_LINEARIZATIONS = 5
+MAX_LINEARIZATIONS = 5
 #: Change of a logarithm since the linearization above which it is repeated [standard deviations] and absolute.
 _STALE_SIGMAS, _STALE_STEP = 3.0, 0.1
 #: Median residual of a cloud above which it cannot be the cloth [median of all clouds].
@@ -66,6 +63,8 @@ class MotionScore:
     rigid: Score
     #: True if no parameter was fitted on it.
     is_held_out: bool
+    #: Camera's error at the driven particles; None if nothing was fitted on the motion, or if it shows none of them.
+    floor: Score | None = None
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -96,6 +95,8 @@ class MotionFit:
     #: Error of the driven particles as the camera shows them, and its description.
     floor: Score | None
     floor_basis: str
+    #: Part of the error that the floor does not explain [m]; None if it explains all.
+    excess: float | None
     n_clouds: int
     n_recorded_clouds: int
     left_out: LeftOut
@@ -358,12 +359,10 @@ def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -
 
 def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
     """Solve for all recordings at the final tolerance; return the solution and the number of unpredictable clouds."""
-    steps, unpredictable = np.full(len(point.theta), MAX_STEP), 0
-    # Steps that average over short waves do not become shorter again.
-    min_steps = np.zeros(len(point.theta))
+    differences, unpredictable = DifferenceSteps.initial(len(point.theta)), 0
     solution = derivatives = previous = None
-    for attempt in range(_MAX_LINEARIZATIONS):
-        begin, used_steps = point.theta, steps
+    for attempt in range(MAX_LINEARIZATIONS):
+        begin = point.theta
         noise = problem.smooth_noise(point, inside, loss)
         solution = solve_joint(
             problem,
@@ -372,7 +371,7 @@ def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: 
             noise=noise,
             tolerance=TOLERANCE,
             max_iterations=_LAST_ITERATIONS,
-            steps=steps,
+            steps=differences.steps,
             central=True,
             derivatives=derivatives,
             previous=previous,
@@ -380,20 +379,15 @@ def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: 
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations
-        is_rough = (roughness(solution.derivatives) > _MAX_ROUGHNESS) & (steps < ROUGH_STEP)
-        min_steps = np.where(is_rough, np.minimum(2.0 * steps, ROUGH_STEP), min_steps)
-        bounds = np.clip(sigmas, _MIN_STEP, MAX_STEP)
-        steps = np.maximum(bounds, min_steps)
-        # Short waves of two linearizations are independent if their steps differ.
-        steps = np.where(np.abs(np.log(steps / used_steps)) < _OTHER_STEP, _SHORTER * used_steps, steps)
+        differences = differences.following(solution.derivatives, sigmas)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
-        counts = linear_clouds(problem, solution, inside, median_deviation(residuals), bounds)
+        counts = linear_clouds(problem, solution, inside, median_deviation(residuals), step_bounds(sigmas))
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))
         moved = np.abs(point.theta - begin)
         has_moved = bool(np.any(moved > np.maximum(_STALE_SIGMAS * sigmas, _STALE_STEP)))
-        is_stale = has_moved or bool(is_rough.any())
+        is_stale = has_moved or differences.is_rough
         is_done = solution.is_converged and bool(solution.derivatives.other_slopes) and not (removed or is_stale)
-        if is_done or attempt == _MAX_LINEARIZATIONS - 1:
+        if is_done or attempt == MAX_LINEARIZATIONS - 1:
             break
         unpredictable += removed
         for k, n in zip(inside, counts, strict=True):
@@ -425,14 +419,16 @@ def _build(
         _estimate(parameter, float(theta), covariance, k, within, doubt)
         for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))
     ]
-    motions = _score_motions(problem, solution, covariance, inside, outside)
+    floors, basis = driven_floors(problem, point, inside)
+    by_motion = dict(zip(inside, floors, strict=bool(floors)))
+    motions = _score_motions(problem, solution, covariance, inside, outside, by_motion)
     entries_without = [entry for entry in motions if entry.is_held_out]
     typical = float(np.median([entry.model.rms for entry in motions]))
     model, n_seen = problem.alignment, [int(visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
     n_points = sum(len(c) for k in inside for c in _used_clouds(problem, k))
     noise = solution.noise
     smooth = float(noise.variances.sum())
-    floor, basis = driven_floor(problem, point, inside)
+    compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
     information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-12), dtype=np.float64)
     return MotionFit(
         name=", ".join(r.name for r in recordings[:3])
@@ -448,11 +444,12 @@ def _build(
         sigma=noise.sigma,
         smooth_share=smooth / (smooth + noise.sigma**2),
         fitted=score([np.linalg.norm(r, axis=1) for part in point.residuals for r in part]),
-        held_out=_pool_scores([entry.model for entry in entries_without]) if entries_without else None,
-        rigid=_pool_scores([entry.rigid for entry in (entries_without or motions)]),
+        held_out=pooled_score([entry.model for entry in entries_without]),
+        rigid=score([entry.rigid.distances for entry in (entries_without or motions)]),
         motions=tuple(motions),
-        floor=floor,
+        floor=pooled_score(floors),
         floor_basis=basis,
+        excess=excess_misfit(*zip(*compared, strict=True)) if compared else None,
         n_clouds=sum(len(problem.used[k]) for k in inside),
         n_recorded_clouds=sum(len(r.clouds) for r in recordings),
         left_out=left_out,
@@ -511,8 +508,9 @@ def _score_motions(
     covariance: Covariance,
     inside: Sequence[int],
     outside: Sequence[int],
+    floors: Mapping[int, Score],
 ) -> list[MotionScore]:
-    """Return the distances of each motion, by the parameters of a fit without this motion."""
+    """Return the distances of each motion, by the parameters of a fit without it; `floors` are by index."""
     point, p = solution.point, len(problem.parameters)
     indices = sorted([*inside, *outside])
     unknowns = {}
@@ -539,10 +537,7 @@ def _score_motions(
                 model=score(distances),
                 rigid=score(rigid_distances(problem, k, result, eta)),
                 is_held_out=k in outside or (not outside and covariance.without is not None),
+                floor=floors.get(k),
             )
         )
     return scores
-
-
-def _pool_scores(scores: Sequence[Score]) -> Score:
-    return score([entry.distances for entry in scores])

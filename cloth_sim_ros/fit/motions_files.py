@@ -47,6 +47,7 @@ def write_json(fit: MotionFit, path: Path) -> None:
         "rigid": _score(fit.rigid),
         "floor": None if fit.floor is None else _score(fit.floor),
         "floor_basis": fit.floor_basis,
+        "excess": fit.excess,
         "motions": [
             {
                 "name": entry.name,

@@ -164,3 +164,9 @@ def _score_table(fit: MotionFit) -> Iterator[str]:
         if fit.floor is not None
         else f"No floor: {fit.floor_basis}."
     )
+    if fit.excess is not None:
+        yield (
+            f"Misfit: {1e3 * fit.excess:.2g} mm of the error are not explained by the floor. The model lacks "
+            "something, or the camera is worse elsewhere. With these values and intervals this model follows such "
+            "motions best; other motions may need others."
+        )

@@ -21,6 +21,7 @@ _SHORT = {
     "stretch_weft": "material.stretch_modulus_weft",
     "shear": "material.shear_modulus",
     "bending_weft": "material.bending_modulus_weft",
+    "bending_friction": "bending.friction_moment",
     "poisson": "material.poisson_ratio",
     "damping": "material.damping",
     "viscosity": "material.viscosity",
@@ -34,7 +35,13 @@ _SHORT = {
 _BENDING = "bending"
 #: Further full names; each obstacle of the scene adds `<obstacle>.friction`.
 _GRIPPER_NAMES = ("gripper.stiffness", "gripper.damping", "gripper.friction")
-_OTHER_NAMES = ("material.bending_modulus", "bending.stiffness", "contact.damping", *_GRIPPER_NAMES)
+_OTHER_NAMES = (
+    "material.bending_modulus",
+    "bending.stiffness",
+    "bending.yield_curvature",
+    "contact.damping",
+    *_GRIPPER_NAMES,
+)
 #: Parameters of motion alone: in still air they do not act on a cloth at rest.
 _OF_MOTION = frozenset(
     {

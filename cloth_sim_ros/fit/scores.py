@@ -121,31 +121,59 @@ def _turn_between(before: Array, after: Array) -> Array:
     return rotation_of((axis / sine * np.arctan2(sine, cosine)).tolist())
 
 
-def driven_floor(problem: JointProblem, point: Point, selected: Sequence[int]) -> tuple[Score | None, str]:
-    """Return the camera's error as a score at the grasped and anchored particles, or None, and its description.
+def driven_floors(problem: JointProblem, point: Point, selected: Sequence[int]) -> tuple[list[Score], str]:
+    """Return the camera error in each recording as scores at the grasped and anchored particles, and its description.
 
-    Driven particles are held by a gripper or anchored. If the camera never shows them, their neighbours count.
+    Driven particles are held by a gripper or anchored. If the camera never shows them, their neighbours count. The list
+    is empty if the camera shows neither.
     """
     recording = problem.recordings[selected[0]]
     if not recording.matched:
-        return None, "bare points show no particle"
+        return [], "bare points show no particle"
     driven = sorted(
         {particle for entry in recording.grasped for particle in entry.particles}
         | {int(k) for k in recording.scene.anchored_particles()}
     )
     if not driven:
-        return None, "no particle is driven"
+        return [], "no particle is driven"
     rest_shape = recording.scene.sheet.positions()
     distances = np.linalg.norm(rest_shape[:, None] - rest_shape[driven], axis=2).min(axis=1)
     spacing = float(np.partition(distances, len(driven))[len(driven)]) if len(rest_shape) > len(driven) else 0.0
     for reach, basis in ((0.0, "driven particles"), (_FLOOR_REACH * spacing, "neighbours of the driven particles")):
         chosen = distances <= reach + 1e-12
-        parts = []
+        floors = []
         for k, residuals in zip(selected, point.residuals, strict=True):
-            for cloud, r in zip(problem.used[k], residuals, strict=True):
-                seen = visible(problem.recordings[k].clouds[int(cloud)])
-                parts.append(np.linalg.norm(r[chosen[seen]], axis=1))
-        result = score(parts)
-        if result.distances.size:
-            return result, basis
-    return None, "the camera shows neither driven particles nor their neighbours"
+            masks = [visible(problem.recordings[k].clouds[int(cloud)]) for cloud in problem.used[k]]
+            floors.append(
+                score([np.linalg.norm(r[chosen[seen]], axis=1) for seen, r in zip(masks, residuals, strict=True)])
+            )
+        if any(floor.distances.size for floor in floors):
+            return floors, basis
+    return [], "the camera shows neither driven particles nor their neighbours"
+
+
+def pooled_score(scores: Sequence[Score]) -> Score | None:
+    """Return the score of all distances together; None without any."""
+    return score([entry.distances for entry in scores]) if scores else None
+
+
+def excess_misfit(models: Sequence[Score], floors: Sequence[Score]) -> float | None:
+    """Return the part of the cloth's error that the floor does not explain, a root mean square [m].
+
+    Each motion is one observation of the difference of the mean squares. None stands for a difference that chance would
+    exceed in one of a hundred fits of a right model, or for fewer than `MIN_MOTIONS` motions.
+
+    Args:
+        models: error of the cloth in each motion.
+        floors: camera's error at the driven particles in each motion.
+    """
+    from scipy.stats import t
+
+    from cloth_sim_ros.fit.clusters import MIN_MOTIONS
+
+    pairs = [(m.rms, f.rms) for m, f in zip(models, floors, strict=True) if m.distances.size and f.distances.size]
+    if len(pairs) < MIN_MOTIONS:
+        return None
+    differences = np.array([model**2 - floor**2 for model, floor in pairs])
+    mean, deviation = float(differences.mean()), float(differences.std(ddof=1)) / np.sqrt(len(pairs))
+    return float(np.sqrt(mean)) if mean > t.ppf(0.99, len(pairs) - 1) * deviation else None

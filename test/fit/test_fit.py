@@ -100,6 +100,16 @@ def test_noiseless_fit_finds_true_values(tmp_path: Path) -> None:
     assert result.all_identified
 
 
+def test_noiseless_fit_finds_friction_of_bending(tmp_path: Path) -> None:
+    truth = {**TRUTH, "bending.friction_moment": 2e-3, "bending.yield_curvature": 2.0}
+    path = record_swing(tmp_path, truth, seconds=0.5, resolution=6, noise=0.0, missing=0.0)
+    start = {"bending": 3e-4, "bending_friction": 1e-3}
+    result = fit(read_session([path]), list(start), start=start, workers=1)
+    for name, value in result.values.items():
+        assert value == pytest.approx(truth[name], rel=2e-3)
+    assert result.all_identified
+
+
 def test_worker_count_changes_no_bit(noisy: Path) -> None:
     short = read_session([noisy]).part(until=0.25)
     serial, parallel = (fit(short, ["bending"], start={"bending": 3e-4}, workers=workers) for workers in (1, 2))

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from cloth_sim_ros.fit.joint import Derivatives, missing_information, roughness
+from cloth_sim_ros.fit.joint import Derivatives, missing_information, motion_weights, roughness, smooth_shares
 
 STEPS = np.array([0.1, 0.4])
 
@@ -54,3 +54,47 @@ def test_information_of_short_waves_alone_keeps_a_tenth():
     # Without the third unknown, 9 - 0.25 remain of the square.
     reduced = complete[:2, :2] - np.outer(complete[:2, 2], complete[2, :2])
     assert reduced == pytest.approx(np.diag([3.0, 0.1 * 8.75]))
+
+
+def test_motions_of_short_waves_alone_have_no_weight():
+    square = np.diag([4.0, 9.0])
+    squares = np.stack([square, square, square])
+    shares = smooth_shares(np.stack([square, 0.25 * square, -0.1 * square]), squares)
+    assert shares == pytest.approx([1.0, 0.25, 0.0])
+    # Shares do not depend on the parameters' units.
+    scale = np.diag([1e3, 1.0])
+    scaled = smooth_shares(scale @ np.stack([square, 0.25 * square, -0.1 * square]) @ scale, scale @ squares @ scale)
+    assert scaled == pytest.approx(shares)
+
+
+def test_shares_as_weights_give_the_smallest_variance():
+    rng = np.random.default_rng(5)
+    smooth, waves = rng.uniform(0.5, 2.0, size=6), rng.uniform(0.0, 5.0, size=6)
+    squares = smooth + waves
+
+    def variance(weights: np.ndarray) -> float:
+        return float(weights**2 @ squares) / float(weights @ smooth) ** 2
+
+    shares = smooth_shares(smooth[:, None, None], squares[:, None, None])
+    best = variance(shares)
+    assert best < 0.9 * variance(np.ones(6))
+    for k in range(6):
+        for factor in (0.8, 1.25):
+            assert variance(np.where(np.arange(6) == k, factor, 1.0) * shares) > best
+
+
+def test_motion_with_far_gradient_gets_small_weight():
+    rng = np.random.default_rng(6)
+    information = np.stack([np.diag([4.0, 9.0, 1.0])] * 40)
+    gradient = rng.normal(size=(40, 3)) * np.sqrt([4.0, 9.0, 1.0])
+    gradient[7] *= 10.0
+    weights = motion_weights(information, gradient)
+    assert weights[7] < 0.1
+    assert np.delete(weights, 7).mean() == pytest.approx(1.0, abs=0.3)
+
+
+def test_single_motion_keeps_its_weight():
+    # Its gradient vanishes at the minimum, whatever the noise.
+    assert motion_weights(np.diag([4.0, 9.0])[None], np.zeros((1, 2))) == pytest.approx([1.0])
+    # A direction without information counts neither way.
+    assert motion_weights(np.diag([4.0, 0.0])[None], np.zeros((1, 2))) == pytest.approx([1.0])

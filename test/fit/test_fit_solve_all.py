@@ -11,8 +11,9 @@ import pytest
 from support.motion_samples import scene_of
 
 from cloth_sim_ros.fit.alignment import FIXED, AlignmentModel
+from cloth_sim_ros.fit.difference_steps import MAX_STEP, ROUGH_STEP, DifferenceSteps
 from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point, scatter_deviations
-from cloth_sim_ros.fit.motions import MAX_STEP, ROUGH_STEP, solve_all
+from cloth_sim_ros.fit.motions import solve_all
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
@@ -109,7 +110,8 @@ def information_of(problem: JointProblem, point: Point, *sets: list[list[list[np
         derivatives.other_slopes = sets[1]
     selected = range(N_MOTIONS)
     noise = problem.smooth_noise(point, selected, HUBER)
-    return problem.normal_equations(point, derivatives, selected, noise).information.sum(axis=0)
+    equal = np.ones(N_MOTIONS)
+    return problem.normal_equations(point, derivatives, selected, noise, equal).information.sum(axis=0)
 
 
 def test_information_omits_short_waves_of_two_linearizations() -> None:
@@ -157,3 +159,19 @@ def test_deviations_are_of_noise_or_of_larger_scatter() -> None:
 def test_deviations_ignore_a_common_gradient() -> None:
     information, common = np.diag([100.0, 400.0]), np.full((10, 2), 50.0)
     assert scatter_deviations(information, common) == pytest.approx([0.1, 0.05])
+
+
+def test_steps_of_next_linearization_differ_from_the_used_ones() -> None:
+    sigmas, p = np.full(2, 0.05), 2
+    smooth = Derivatives(
+        slopes=[[[np.ones((5, 3))]] * p], curvatures=[[[np.zeros((5, 3))]] * p], steps=np.array([0.052, 0.2])
+    )
+    following = DifferenceSteps.initial(p).following(smooth, sigmas)
+    assert following.steps == pytest.approx([0.7 * 0.052, 0.05])
+    assert not following.is_rough
+    rough = Derivatives(slopes=smooth.slopes, curvatures=[[[np.ones((5, 3))]] * p], steps=np.array([0.1, 0.3]))
+    following = DifferenceSteps.initial(p).following(rough, sigmas)
+    assert following.is_rough
+    assert following.steps == pytest.approx([0.2, ROUGH_STEP])
+    # Steps over short waves stay long, although later differences are smooth.
+    assert following.following(smooth, sigmas).steps == pytest.approx([0.2, ROUGH_STEP])

@@ -10,13 +10,15 @@ from pathlib import Path
 from validation.report import Report
 
 #: Names of the parts.
-PARTS = ("swings", "recorded")
+PARTS = ("swings", "models", "recorded")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--part", choices=PARTS, default="swings", help="part (default: %(default)s)")
-    swings = parser.add_argument_group("swings: fits to a synthetic copy of a recorded set")
+    swings = parser.add_argument_group(
+        "swings: fits to a synthetic copy of a recorded set; models: to motions of other models"
+    )
     swings.add_argument("--fits", type=int, default=1, help="complete fits (default: %(default)s)")
     linear = "fits that are linear about the true parameters; a second each (default: %(default)s)"
     swings.add_argument("--linear", type=int, default=0, help=linear)
@@ -34,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Run a part."""
-    from validation.reality import recorded_swings, swings
+    from validation.reality import other_models, recorded_swings, swings
 
-    return (recorded_swings if options.part == "recorded" else swings).run(options)
+    parts = {"swings": swings, "models": other_models, "recorded": recorded_swings}
+    return parts[options.part].run(options)

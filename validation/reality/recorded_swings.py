@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
-from cloth_sim_ros.fit.scores import Score, driven_floor, rigid_distances, score
+from cloth_sim_ros.fit.scores import Score, driven_floors, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
@@ -44,14 +44,23 @@ OFFSETS = {"left": (0.0, -0.15, 0.085), "right": (0.0, 0.15, 0.085)}
 HELD = {"left": (0,), "right": (56,)}
 #: Fitted parameters, and starts of those that are zero by default.
 PARAMETERS, START = ("normal_drag", "added_mass", "damping", "shear"), {"added_mass": 0.06, "normal_drag": 0.4}
+#: Material and air of `config/swing.yaml`, which were identified from recordings of this cloth.
+IDENTIFIED = {
+    "material.density": 0.196,
+    "material.shear_modulus": 118.0,
+    "material.damping": 0.106,
+    "air.added_mass": 0.067,
+}
+#: Largest mean speed of a cloth that counts as still [m/s].
+STILL_SPEED = 0.02
 #: Largest median, 95 % quantile and root mean square of the distances, of the defaults and of a fit [mm].
 DEFAULTS, FITTED = (15.0, 45.0, 23.0), (12.3, 38.0, 20.0)
 
 
-def swing_scene() -> Scene:
-    """Return the cloth with the package's default material."""
-    values = {"cloth.size": [0.3, 0.3], "cloth.resolution": [8, 8], "cloth.anchors": [""], "grippers": list(HELD)}
-    return Scene.from_parameters(values)
+def swing_scene(values: Mapping[str, float] | None = None) -> Scene:
+    """Return the cloth with the package's default material, except for some values by full name."""
+    cloth = {"cloth.size": [0.3, 0.3], "cloth.resolution": [8, 8], "cloth.anchors": [""], "grippers": list(HELD)}
+    return Scene.from_parameters({**cloth, **(values or {})})
 
 
 def read_swings(folder: Path) -> list[Recording]:
@@ -82,8 +91,10 @@ class _Evaluation:
         values: dict[str, float],
         pool: TrajectoryPool,
         pivot: tuple[float, ...] | None = None,
+        *,
+        material: Mapping[str, float] | None = None,
     ) -> None:
-        scene = swing_scene()
+        scene = swing_scene(material)
         parameters = choose_parameters(scene, ["damping"])
         if values:
             parameters = choose_parameters(scene, list(values), values)
@@ -121,9 +132,25 @@ class _Evaluation:
             for k, trajectory in enumerate(self.point.trajectories)
         ]
 
+    def still(self) -> Score:
+        """Return the errors in clouds of a cloth that is nearly at rest: those of the camera, all over the sheet."""
+        parts = []
+        for k, (recording, trajectory) in enumerate(zip(self.problem.recordings, self.point.trajectories, strict=True)):
+            rate = recording.scene.rate
+            offset = self.problem.alignment.alignment(self.point.eta, k).offset
+            frames = recording.frames[self.problem.used[k]] - offset * rate
+            moved = trajectory.sample(frames + 0.5) - trajectory.sample(frames - 0.5)
+            speeds = rate * np.linalg.norm(moved, axis=2).mean(axis=1)
+            parts += [
+                np.linalg.norm(r, axis=1)
+                for r, speed in zip(self.point.residuals[k], speeds, strict=True)
+                if speed < STILL_SPEED
+            ]
+        return score(parts)
+
     def floor(self) -> Score | None:
         """Return the error of the camera at the held particles."""
-        return driven_floor(self.problem, self.point, range(len(self.problem.recordings)))[0]
+        return pooled_score(driven_floors(self.problem, self.point, range(len(self.problem.recordings)))[0])
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -143,6 +170,7 @@ def run(options: argparse.Namespace) -> Report:
         plain = _Evaluation(recordings, {}, pool)
         rigid = plain.rigid()
         print_progress(f"defaults: {_pooled(plain.motions).rms * 1e3:.1f} mm rms")
+        identified = _Evaluation(recordings, {}, pool, material=IDENTIFIED)
         begin = time.perf_counter()
         fit = fit_real(
             [recordings[k] for k in inside],
@@ -158,8 +186,10 @@ def run(options: argparse.Namespace) -> Report:
     for name, motions, selected in (
         ("carried rigidly", rigid, range(len(recordings))),
         ("defaults", plain.motions, range(len(recordings))),
+        ("numbers of config/swing.yaml", identified.motions, range(len(recordings))),
         (f"fitted on {n_fitted} others", fitted.motions, outside),
-        ("driven edge (camera)", [floor] if (floor := plain.floor()) is not None else [], range(1)),
+        ("fitted, still clouds (camera)", [fitted.still()], range(1)),
+        ("driven corners (camera)", [floor] if (floor := plain.floor()) is not None else [], range(1)),
     ):
         chosen = [motions[k] for k in selected] if len(motions) > 1 else motions
         better = sum(motions[k].rms < rigid[k].rms for k in selected) if len(motions) > 1 else "-"

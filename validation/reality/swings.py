@@ -21,7 +21,7 @@ from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from validation.case_pool import read_lines
 from validation.reality import swing_samples as samples
-from validation.reality.linear_fits import linear_fit, linearize
+from validation.reality.linear_fits import LinearFit, linear_fit, linearize
 from validation.report import Report, Table, print_progress
 
 #: Level of the examined intervals, largest relative error of an identified parameter, and longest time of a fit [s].
@@ -157,7 +157,7 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
 def _report_linear(report: Report, options: argparse.Namespace) -> None:
     exact = [samples.exact_motion(k, samples.TRUTH) for k in range(options.motions)]
     with TrajectoryPool(options.workers) as pool:
-        linearized = linearize(exact, pool)
+        linearized = linearize(exact, options.first, pool)
         fits = [
             linear_fit(linearized, exact, seed, pool) for seed in range(options.first, options.first + options.linear)
         ]
@@ -169,7 +169,7 @@ def _report_linear(report: Report, options: argparse.Namespace) -> None:
     report.require(ratio <= MAX_WIDTH_RATIO, f"intervals are {ratio:.2f} times as wide as the best possible")
 
 
-def linear_table(fits: list[Any], n_motions: int) -> Table:
+def linear_table(fits: list[LinearFit], n_motions: int) -> Table:
     """Return the table of linear fits."""
     columns = ["parameter", "rms error %", "mean bound %", "best possible %", "width over best", "covered"]
     table = Table(f"{len(fits)} linear fits to {n_motions} motions", columns)

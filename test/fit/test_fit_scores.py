@@ -1,0 +1,45 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Misfit of a cloth beyond the error of the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.fit.scores import Score, excess_misfit, pooled_score
+
+
+def scores(random: np.random.Generator, scale: float, count: int = 20, spread: float = 0.5) -> list[Score]:
+    """Scores of motions by a camera whose error has a size of its own in each motion [m]."""
+    sizes = scale * random.uniform(1.0 - spread, 1.0 + spread, size=count)
+    return [Score(distances=np.linalg.norm(random.normal(scale=size, size=(200, 3)), axis=1)) for size in sizes]
+
+
+def test_misfit_beyond_floor_is_its_root_mean_square() -> None:
+    random = np.random.default_rng(1)
+    models, floors = scores(random, 0.02), scores(random, 0.01)
+    expected = np.sqrt(np.mean([m.rms**2 for m in models]) - np.mean([f.rms**2 for f in floors]))
+    assert excess_misfit(models, floors) == pytest.approx(expected)
+
+
+def test_misfit_of_a_right_model_is_rarely_stated() -> None:
+    random = np.random.default_rng(2)
+    stated = sum(excess_misfit(scores(random, 0.01), scores(random, 0.01)) is not None for _ in range(200))
+    # One in a hundred on average.
+    assert stated <= 8
+
+
+def test_misfit_needs_five_motions_with_a_floor() -> None:
+    random = np.random.default_rng(3)
+    models, floors = scores(random, 0.02, 5, 0.1), scores(random, 0.001, 5, 0.1)
+    assert excess_misfit(models, floors) is not None
+    assert excess_misfit(models[:4], floors[:4]) is None
+    assert excess_misfit(models, [*floors[:4], Score(distances=np.zeros(0))]) is None
+
+
+def test_no_scores_have_no_pooled_score() -> None:
+    assert pooled_score([]) is None
+    together = pooled_score([Score(distances=np.array([3.0])), Score(distances=np.array([4.0, 5.0]))])
+    assert together is not None
+    assert together.distances.tolist() == [3.0, 4.0, 5.0]
