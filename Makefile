@@ -6,8 +6,9 @@
 #   make test    the tests
 # Both make the environment when it is missing, and start at once when it is there.
 #
-# For those who work on it: make docs (the site), check (what CI runs: format, lint, types, tests), docs-check, engine,
-# sanitize, tidy, bits, format, soak, bench, validate, benchmarks, screenshots, colcon, wheel, clean: CONTRIBUTING.md.
+# For those who work on it: make docs (the site), check (what CI runs: format, lint, types, tests), test-long, docs-check,
+# engine, sanitize, tidy, bits, format, soak, bench, validate, benchmarks, screenshots, colcon, wheel, clean:
+# CONTRIBUTING.md.
 # Variables: PYTHON (which Python), VENV (where the environment is), CXX (which compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
@@ -47,7 +48,7 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run docs docs-check engine engines sanitize tidy bits test check format soak bench validate benchmarks
+.PHONY: help run docs docs-check engine engines sanitize tidy bits test test-long check format soak bench validate benchmarks
 .PHONY: screenshots colcon wheel clean
 .DEFAULT_GOAL := help
 
@@ -60,6 +61,10 @@ run: $(DEMO) engine
 # A process a core; a file's tests stay together. ARGS="-n 0" runs them in one process.
 test: $(DEV) engines
 	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
+
+# More cases of what `make test` covers: pytest's marker `long`.
+test-long: $(DEV) engines
+	@$(BIN)/python -m pytest -m long -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 
 check: $(DEV) engines
 	$(BIN)/ruff format --check .

@@ -49,6 +49,8 @@ PINCH: dict[str, Any] = {
     "gripper.pad_size": [0.2, 0.1, 0.08],
     "obstacles": ["table"],
     "table.shape": "plane",
+    # A crushed frame takes all of it.
+    "work_limit": 1.0,
 }
 
 

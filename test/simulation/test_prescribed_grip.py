@@ -147,8 +147,8 @@ def test_joints_to_obstacles_are_springs_beside_prescribed_grips() -> None:
 
 @pytest.mark.parametrize("integrator", ["auto", "implicit"])
 def test_energy_balance_closes(integrator: str) -> None:
-    cloth, start = closed(Scene.from_parameters({**HUNG, "integrator": integrator, "tolerance": 1e-5}))
-    for k in range(40):
+    cloth, start = closed(Scene.from_parameters({**HUNG, "integrator": integrator, "tolerance": 1e-4}))
+    for k in range(20):
         cloth.advance([target(start, k)])
     report = cloth.energy_report
     assert report is not None

@@ -30,11 +30,11 @@ def test_oracles_detect_intersections():
     ("run", "options", "met"),
     [
         (self_runs.fold, {}, 500),
-        (self_runs.three_layers, {"frames": 44}, 300),
+        (self_runs.three_layers, {"frames": 32}, 300),
         (self_runs.fall_on_an_edge, {}, 50),
         (self_runs.twist, {"turns": 1.5}, 20),
         (self_runs.crush, {}, 500),
-        (self_runs.mesh_with_a_hole, {"count": 120, "frames": 60}, 20),
+        (self_runs.mesh_with_a_hole, {"count": 120, "frames": 40}, 20),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.control.automatic import INTEGRATORS
 
 SETTINGS = [
     {"integrator": name, "tolerance": tolerance, "step": step}
-    for name, (tolerance, step) in product(INTEGRATORS, [(0.0, 0.0), (1e-3, 0.0), (1e-6, 0.0), (0.0, 5e-4)])
+    for name, (tolerance, step) in product(INTEGRATORS, [(0.0, 0.0), (1e-3, 0.0), (1e-5, 0.0), (0.0, 5e-4)])
 ]
 
 
