@@ -83,6 +83,11 @@ def test_report_states_alignment_and_intervals(fitted: MotionFit, tmp_path: Path
     assert written["left_out"]["wrong_scale"] == 1
 
 
+def test_report_states_misfit_beyond_floor(fitted: MotionFit) -> None:
+    assert "Misfit" not in describe_motions(attrs.evolve(fitted, excess=None))
+    assert "Misfit: 4.2 mm" in describe_motions(attrs.evolve(fitted, excess=0.0042))
+
+
 def test_recording_of_another_cloth_is_named(recordings: list[Recording]) -> None:
     curtain = attrs.evolve(recordings[2], name="curtain", clouds=[2.5 * cloud for cloud in recordings[2].clouds])
     fit = fit_real([*recordings[:2], curtain], scene_of(), ["normal_drag"], grasped=NAMED, **QUICK)

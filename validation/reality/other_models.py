@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits of the plain model to motions of another one: scores, warnings, and intervals against held-out motions.
 
-The motions are cut into halves at random, and both are fitted. If the intervals hold, the difference of the fits lies
-within the interval of a difference in 90 % of all cases, for a right model and for a wrong one. Physical values lie
-within the intervals of a right model alone.
+The motions are cut into halves at random, and both are fitted. If intervals hold, the difference of both fits lies
+within its interval in 90 % of all cases. This applies to right and wrong models. Physical values lie within the
+intervals of a right model alone.
 """
 
 from __future__ import annotations
