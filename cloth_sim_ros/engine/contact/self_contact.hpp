@@ -62,13 +62,15 @@ public:
     /// Whether `find` would find no pairs.
     bool has_no_pairs(const double* x, double thickness, double margin) {
         // Usually the nearest pair of the last search answers that.
-        if (triangles.size()) {
-            const double *const squares = triangles.square.data(), range = thickness + margin;
-            const Quads at{x};
-            const auto nearest = std::min_element(squares, squares + triangles.size()) - squares;
-            if (pair_square<false>(pair_corners<false>(surface, triangles, nearest), at) < range * range) return false;
-        }
-        return find(x, thickness, margin) && empty();
+        return !nearest_is_within(Quads{x}, thickness + margin) && find(x, thickness, margin) && empty();
+    }
+    /// Whether the nearest triangle of the last search is within a range [m] at positions at(i).
+    template <class X>
+    bool nearest_is_within(X&& at, double range) const {
+        if (!triangles.size()) return false;
+        const double* const squares = triangles.square.data();
+        const auto nearest = std::min_element(squares, squares + triangles.size()) - squares;
+        return pair_square<false>(pair_corners<false>(surface, triangles, nearest), at) < range * range;
     }
     /// Result of `update`, and the pairs of a particle and a triangle that it evaluated, in the order of `gaps.square`.
     SelfGaps gaps;
@@ -130,11 +132,13 @@ private:
     }
     bool update_middle(const double* x, double margin, double extra) {
         if (covers(outer_, x, margin) && covers(middle_, x, margin)) return false;
-        margin += larger(extra, min_middle_margin * thickness_);
+        // Edges of layers in contact are not in contact themselves: most of them are beyond a smaller margin.
+        const double more = larger(extra, min_middle_margin * thickness_), edge_margin = margin + 0.5 * more;
+        margin += more;
         if (!update_outer(x, margin)) outer_.pairs.measure(surface, x);
         middle_.invalidate(), inner_.invalidate();
-        prune(x, outer_, margin, middle_);
-        middle_.margin_left = margin;
+        prune(x, outer_, margin, edge_margin, middle_);
+        middle_.margin_left = edge_margin;
         middle_.is_valid = true;
         return true;
     }
@@ -144,18 +148,18 @@ private:
         margin += extra;
         if (!update_middle(x, margin, extra)) middle_.pairs.measure(surface, x);
         inner_.invalidate();
-        prune(x, middle_, margin, inner_);
+        prune(x, middle_, margin, margin, inner_);
         gaps.set_candidates(surface, inner_.pairs.triangles);
         inner_.margin_left = margin;
         inner_.is_valid = true;
     }
-    /// Keep the pairs within the thickness and the margin, which are measured at x.
-    void prune(const double* x, const ListLevel& from, double margin, ListLevel& to) {
+    /// Keep the pairs within the thickness and a margin, which are measured at x.
+    void prune(const double* x, const ListLevel& from, double margin, double edge_margin, ListLevel& to) {
         patches_.clear(to.omitted, x);
         const PairList &near = from.pairs.triangles, &near_edges = from.pairs.edges;
         for (const Index k : to.pairs.triangles.select(near, thickness_ + margin))
             patches_.include<false>(to.omitted, near.first[k], near.second[k], root(near.square[k]));
-        for (const Index k : to.pairs.edges.select(near_edges, 0.5 * thickness_ + margin))
+        for (const Index k : to.pairs.edges.select(near_edges, 0.5 * thickness_ + edge_margin))
             patches_.include<true>(to.omitted, near_edges.first[k], near_edges.second[k],
                                    root(near_edges.square[k]) + 0.5 * thickness_);
         patches_.finish(to.omitted);
