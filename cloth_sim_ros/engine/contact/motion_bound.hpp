@@ -122,8 +122,6 @@ public:
             all.clear();
             for (auto& part : parts) {
                 for (Index& corner : part) corner = patch_[corner];
-                std::sort(part.begin(), part.end());
-                std::fill(std::unique(part.begin(), part.end()), part.end(), Index{-1});
                 all.push_back(part);
             }
         };
@@ -144,13 +142,12 @@ public:
     /// Include a pair of two edges, or of a particle and a triangle, at a distance [m].
     template <bool Edges>
     void include(Distances& all, Index first, Index second, double distance) {
+        // A patch counts as often as it is listed: that takes less time than a branch for each that is not.
         if constexpr (Edges) {
             for (const Index a : of_edge_[first])
-                for (std::size_t k = 0; a >= 0 && k < 2 && of_edge_[second][k] >= 0; ++k)
-                    include_patches(all, a, of_edge_[second][k], distance);
+                for (const Index b : of_edge_[second]) include_patches(all, a, b, distance);
         } else {
-            for (const Index b : of_triangle_[second])
-                if (b >= 0) include_patches(all, patch_[first], b, distance);
+            for (const Index b : of_triangle_[second]) include_patches(all, patch_[first], b, distance);
         }
     }
     /// Set the distances of all pairs of a surface that are further than `reach` [m].
@@ -171,6 +168,14 @@ public:
                 if (distance < all.far_distance) include_patches(all, a, b, larger(reach, distance));
             }
         finish(all);
+    }
+    /// Set to one distance [m] of all patches that other distances list, at positions x.
+    void set_uniform(Distances& all, const Distances& listed, const double* x, double distance) {
+        all.positions.assign(x, x + 4 * patch_.size());
+        all.patches = listed.patches;
+        all.distance.assign(listed.patches.size(), distance);
+        std::fill(all.distance.end() - lanes<double>, all.distance.end(), std::numeric_limits<double>::infinity());
+        all.far_distance = std::numeric_limits<double>::infinity();
     }
     /// Complete distances after the last pair.
     void finish(Distances& all) {
@@ -226,7 +231,7 @@ private:
         least = distance;
     }
 
-    /// Patch of each particle; those of each edge and triangle, each once, then -1.
+    /// Patch of each particle; those of the corners of each edge and triangle.
     std::vector<Index> patch_;
     std::vector<std::array<Index, 2>> of_edge_;
     std::vector<std::array<Index, 3>> of_triangle_;

@@ -62,13 +62,15 @@ public:
     /// Whether `find` would find no pairs.
     bool has_no_pairs(const double* x, double thickness, double margin) {
         // Usually the nearest pair of the last search answers that.
-        if (triangles.size()) {
-            const double *const squares = triangles.square.data(), range = thickness + margin;
-            const Quads at{x};
-            const auto nearest = std::min_element(squares, squares + triangles.size()) - squares;
-            if (pair_square<false>(pair_corners<false>(surface, triangles, nearest), at) < range * range) return false;
-        }
-        return find(x, thickness, margin) && empty();
+        return !nearest_is_within(Quads{x}, thickness + margin) && find(x, thickness, margin) && empty();
+    }
+    /// Whether the nearest triangle of the last search is within a range [m] at positions at(i).
+    template <class X>
+    bool nearest_is_within(X&& at, double range) const {
+        if (!triangles.size()) return false;
+        const double* const squares = triangles.square.data();
+        const auto nearest = std::min_element(squares, squares + triangles.size()) - squares;
+        return pair_square<false>(pair_corners<false>(surface, triangles, nearest), at) < range * range;
     }
     /// Result of `update`, and the pairs of a particle and a triangle that it evaluated, in the order of `gaps.square`.
     SelfGaps gaps;
@@ -124,6 +126,12 @@ private:
         outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
                            0.5 * thickness_);
         patches_.set_beyond(outer_.omitted, surface, x, outer_.pairs.reach);
+        patches_.clear(listed_, x);
+        for (std::size_t k = 0; k < outer_.pairs.triangles.size(); ++k)
+            patches_.include<false>(listed_, outer_.pairs.triangles.first[k], outer_.pairs.triangles.second[k], 0.0);
+        for (std::size_t k = 0; k < outer_.pairs.edges.size(); ++k)
+            patches_.include<true>(listed_, outer_.pairs.edges.first[k], outer_.pairs.edges.second[k], 0.0);
+        patches_.finish(listed_);
         outer_.margin_left = outer_.pairs.reach - thickness_;
         outer_.is_valid = true;
         return true;
@@ -133,7 +141,9 @@ private:
         margin += larger(extra, min_middle_margin * thickness_);
         if (!update_outer(x, margin)) outer_.pairs.measure(surface, x);
         middle_.invalidate(), inner_.invalidate();
-        prune(x, outer_, margin, middle_);
+        // Of the many pairs that are omitted, the nearest of each two patches is little further than the margin.
+        middle_.pairs.select(outer_.pairs, thickness_ + margin, 0.5 * thickness_ + margin);
+        patches_.set_uniform(middle_.omitted, listed_, x, thickness_ + margin);
         middle_.margin_left = margin;
         middle_.is_valid = true;
         return true;
@@ -163,6 +173,7 @@ private:
     /// Each level is a part of the one before.
     ListLevel outer_, middle_, inner_;
     Patches patches_;
+    Patches::Distances listed_;  ///< patches of the pairs of the outer level
     double thickness_ = 0.0;
 };
 

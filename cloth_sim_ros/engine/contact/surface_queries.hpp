@@ -37,6 +37,16 @@ private:
     Array<double> value_, slope_;
 };
 
+/// Whether it is known without a search that a sheet at positions x, (3, n), is in contact with itself. Usually it is
+/// if it was in the last search; then no bound of its distances helps.
+inline bool is_surely_in_contact(const Plan& plan, const double* x) {
+    const auto at = [&](Index c) {
+        const double* const particle = x + plan.particle_of_rank[c];
+        return Vec3<double>{particle[0], particle[plan.count], particle[2 * plan.count]};
+    };
+    return plan.self->neighbors().nearest_is_within(at, plan.contacts.thickness);
+}
+
 /// A contact in a query: its law, and functions of the position and velocity of corners; of the cloth with an obstacle,
 /// this and its features.
 template <class V, class X, class U>
@@ -61,7 +71,8 @@ struct SurfaceState {
 template <class V, class F>
 inline void for_each_self_contact(Plan& plan, const SurfaceState& state, F&& visit) {
     const Contacts& contacts = plan.contacts;
-    if (!plan.self || plan.self->is_clear(state.x, contacts.thickness)) return;
+    if (!plan.self || (!is_surely_in_contact(plan, state.x) && plan.self->is_clear(state.x, contacts.thickness)))
+        return;
     const QueryNumbers<V> at(plan, state.x, state.dx), velocity(plan, state.v, state.dv);
     SelfVerletList& neighbors = plan.self->neighbors();
     if (!neighbors.find(at.quads(), contacts.thickness, 0.0)) return;
@@ -329,7 +340,7 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     SelfVerletList& neighbors = self.neighbors();
     const double d = plan.contacts.thickness;
     // A reduced thickness is below the full one.
-    if (self.stays_separated(x, v, d, duration)) {
+    if (!is_surely_in_contact(plan, x) && self.stays_separated(x, v, d, duration)) {
         neighbors.clear();
         return {};
     }
@@ -567,7 +578,8 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
     plan.self_culled = false;
     if (!plan.self) return;
     SelfContact& self = *plan.self;
-    plan.self_culled = is_separated_ = self.stays_separated(x0, v0, plan.contacts.thickness, duration);
+    plan.self_culled = is_separated_ =
+        !is_surely_in_contact(plan, x0) && self.stays_separated(x0, v0, plan.contacts.thickness, duration);
     if (is_separated_) return;
     const Array<double> positions = quads_of(plan, x0);
     speed_limit_ = 2.0 * relative_speed(v0) + SelfContact::speed_margin;
