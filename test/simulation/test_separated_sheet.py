@@ -44,3 +44,17 @@ def test_separated_sheet_moves_as_without_self_contact(sheet) -> None:
         results.append((simulation.state.x.tobytes(), simulation.state.v.tobytes(), evaluations))
     assert results[0] == results[1]
     assert results[0][2] > FRAMES
+
+
+def test_contact_of_the_last_query_is_looked_at_anew() -> None:
+    scene = Scene.from_parameters({"contact.self": True, "cloth.resolution": [16, 16], "cloth.anchors": []})
+    simulation = Simulation(scene)
+    contact, flat, v = simulation.plan.contact, simulation.state.x, np.zeros_like(simulation.state.v)
+    assert contact is not None
+    # The upper half lies on the lower one, at 0.6 thicknesses along the normal, which is y.
+    height = flat[2] - flat[2].mean()
+    folded = np.array([flat[0], flat[1] + np.where(height > 0.0, 0.6 * scene.contact.thickness, 0.0), -np.abs(height)])
+    for _ in range(2):
+        assert contact.predict_surface_contact(0.0, 0.0, folded, v, {})[0] > 0.0
+        assert not contact.is_clear_of_itself(1.0 / 60.0, folded, v)
+        assert contact.is_clear_of_itself(1.0 / 60.0, flat, v)

@@ -169,6 +169,14 @@ public:
             }
         finish(all);
     }
+    /// Set to one distance [m] of all patches that other distances list, at positions x.
+    void set_uniform(Distances& all, const Distances& listed, const double* x, double distance) {
+        all.positions.assign(x, x + 4 * patch_.size());
+        all.patches = listed.patches;
+        all.distance.assign(listed.patches.size(), distance);
+        std::fill(all.distance.end() - lanes<double>, all.distance.end(), std::numeric_limits<double>::infinity());
+        all.far_distance = std::numeric_limits<double>::infinity();
+    }
     /// Complete distances after the last pair.
     void finish(Distances& all) {
         for (const auto& [a, b] : all.patches) {

@@ -126,19 +126,25 @@ private:
         outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
                            0.5 * thickness_);
         patches_.set_beyond(outer_.omitted, surface, x, outer_.pairs.reach);
+        patches_.clear(listed_, x);
+        for (std::size_t k = 0; k < outer_.pairs.triangles.size(); ++k)
+            patches_.include<false>(listed_, outer_.pairs.triangles.first[k], outer_.pairs.triangles.second[k], 0.0);
+        for (std::size_t k = 0; k < outer_.pairs.edges.size(); ++k)
+            patches_.include<true>(listed_, outer_.pairs.edges.first[k], outer_.pairs.edges.second[k], 0.0);
+        patches_.finish(listed_);
         outer_.margin_left = outer_.pairs.reach - thickness_;
         outer_.is_valid = true;
         return true;
     }
     bool update_middle(const double* x, double margin, double extra) {
         if (covers(outer_, x, margin) && covers(middle_, x, margin)) return false;
-        // Edges of layers in contact are not in contact themselves: most of them are beyond a smaller margin.
-        const double more = larger(extra, min_middle_margin * thickness_), edge_margin = margin + 0.5 * more;
-        margin += more;
+        margin += larger(extra, min_middle_margin * thickness_);
         if (!update_outer(x, margin)) outer_.pairs.measure(surface, x);
         middle_.invalidate(), inner_.invalidate();
-        prune(x, outer_, margin, edge_margin, middle_);
-        middle_.margin_left = edge_margin;
+        // Of the many pairs that are omitted, the nearest of each two patches is little further than the margin.
+        middle_.pairs.select(outer_.pairs, thickness_ + margin, 0.5 * thickness_ + margin);
+        patches_.set_uniform(middle_.omitted, listed_, x, thickness_ + margin);
+        middle_.margin_left = margin;
         middle_.is_valid = true;
         return true;
     }
@@ -148,18 +154,18 @@ private:
         margin += extra;
         if (!update_middle(x, margin, extra)) middle_.pairs.measure(surface, x);
         inner_.invalidate();
-        prune(x, middle_, margin, margin, inner_);
+        prune(x, middle_, margin, inner_);
         gaps.set_candidates(surface, inner_.pairs.triangles);
         inner_.margin_left = margin;
         inner_.is_valid = true;
     }
-    /// Keep the pairs within the thickness and a margin, which are measured at x.
-    void prune(const double* x, const ListLevel& from, double margin, double edge_margin, ListLevel& to) {
+    /// Keep the pairs within the thickness and the margin, which are measured at x.
+    void prune(const double* x, const ListLevel& from, double margin, ListLevel& to) {
         patches_.clear(to.omitted, x);
         const PairList &near = from.pairs.triangles, &near_edges = from.pairs.edges;
         for (const Index k : to.pairs.triangles.select(near, thickness_ + margin))
             patches_.include<false>(to.omitted, near.first[k], near.second[k], root(near.square[k]));
-        for (const Index k : to.pairs.edges.select(near_edges, 0.5 * thickness_ + edge_margin))
+        for (const Index k : to.pairs.edges.select(near_edges, 0.5 * thickness_ + margin))
             patches_.include<true>(to.omitted, near_edges.first[k], near_edges.second[k],
                                    root(near_edges.square[k]) + 0.5 * thickness_);
         patches_.finish(to.omitted);
@@ -167,6 +173,7 @@ private:
     /// Each level is a part of the one before.
     ListLevel outer_, middle_, inner_;
     Patches patches_;
+    Patches::Distances listed_;  ///< patches of the pairs of the outer level
     double thickness_ = 0.0;
 };
 
