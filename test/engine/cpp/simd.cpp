@@ -82,6 +82,26 @@ TEST_CASE_TEMPLATE("fma rounds once", T, double, float) {
     CHECK(T(T(1 + step) * T(1 - step)) - T(1) == T(0));
 }
 
+TEST_CASE("reciprocals of vectors are rounded as quotients") {
+    Random random;
+    const auto count = [&](auto&& number) {
+        int differences = 0;
+        for (int round = 0; round < 20000; ++round) {
+            vec<double> a{};
+            for (int k = 0; k < lanes<double>; ++k) a[k] = number();
+            const vec<double> result = reciprocal(a);
+            for (int k = 0; k < lanes<double>; ++k) differences += has_same_bits(result[k], 1.0 / a[k]) ? 0 : 1;
+        }
+        return differences;
+    };
+    const auto scale = [&] { return std::ldexp(1.0, static_cast<int>(random.below(1000)) - 500); };
+    CHECK(count([&] { return scale() * random.uniform(1.0, 2.0); }) == 0);
+    // Just below two the first approximations are halfway between two numbers; just above one they are nearly exact.
+    CHECK(count([&] { return scale() * (2.0 - 0x1p-52 * static_cast<double>(1 + random.below(64))); }) == 0);
+    CHECK(count([&] { return scale() * (1.0 + 0x1p-52 * static_cast<double>(random.below(64))); }) == 0);
+    CHECK(count([&] { return random.special<double>(); }) == 0);
+}
+
 TEST_CASE_TEMPLATE("root and inverse root have closed values", T, double, float) {
     CHECK(root(T(9)) == T(3));
     CHECK(inverse_root(T(16)) == T(0.25));
