@@ -26,9 +26,9 @@ class PadStops:
     """Stops the joints of fingers before their pads come closer than `robot.pad_gap` contact thicknesses.
 
     Two pads are a pair if they belong to one hand and different joints move them. Pads that more than eight joints move
-    relative to each other belong to two arms. Each side of a cloth's layer then has half the gap, and its contact pushes
-    back. Without stops a closed gripper would crush the layer, and all obstacles would stop. Pads of two hands, and of
-    two links of one finger, may come closer.
+    relative to each other belong to two arms. Each side of a cloth's layer then has half the gap, and its contact
+    pushes back. Without stops a closed gripper would crush the layer, and all obstacles would stop. Pads of two hands,
+    and of two links of one finger, may come closer.
 
     Args:
         scene: has the pads as obstacles, `robot.pads`, `robot.pad_gap` and `contact.thickness`.
