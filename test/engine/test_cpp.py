@@ -20,12 +20,16 @@ from cloth_sim_ros.engine.instruction_set import libraries
 
 SANITIZE = "libasan" in os.environ.get("LD_PRELOAD", "")
 NAMES = [Path(os.environ["CLOTH_SIM_ROS_ENGINE"]).stem[1:]] if SANITIZE else libraries()
+#: Sets between the widest and the narrowest vectors take as long, and rarely fail alone.
+PARAMETERS = [
+    pytest.param(name, marks=pytest.mark.long) if 0 < k < len(NAMES) - 1 else name for k, name in enumerate(NAMES)
+]
 #: A build with the sanitizers takes minutes.
 pytestmark = pytest.mark.timeout(900)
 ENVIRONMENT = {**cpp_tests.ENVIRONMENT, "ASAN_OPTIONS": "detect_leaks=0"}
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(scope="module", params=PARAMETERS)
 def program(request: pytest.FixtureRequest) -> Path:
     """Program of an instruction set."""
     try:
