@@ -310,7 +310,7 @@ def test_pads_stop_at_a_new_thickness(client: Client, description: str) -> None:
             cloth.tick(3)
         by_name = dict(zip(cloth.simulation.scene.obstacle_names, poses(cloth), strict=True))
         gap = np.linalg.norm((by_name["left_finger"] - by_name["right_finger"])[:3]) - 0.02
-        assert gap == pytest.approx(0.008, rel=0.1)
+        assert gap == pytest.approx(1.4 * 0.008, rel=0.1)
 
 
 def test_fingers_close_after_a_state_beyond_bounds(client: Client, description: str) -> None:
