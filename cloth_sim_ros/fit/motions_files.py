@@ -72,7 +72,7 @@ def write_json(fit: MotionFit, path: Path) -> None:
 
 
 def write_plot(fit: MotionFit, path: Path) -> None:
-    """Plot the distances of each motion's points from the fitted cloth and from the cloth carried rigidly [mm]."""
+    """Plot each motion's rms distance of points from the fitted cloth and from the cloth carried rigidly [mm]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -160,7 +160,7 @@ def start_time(recording: Recording, scene: Scene, max_offset: float) -> float:
 def closed_grippers(
     scene: Scene, tracks: Mapping[str, RecordedGripper], time: float, named: Mapping[str, object]
 ) -> list[str]:
-    """Return the grippers that are closed at a time [s]: by their last grasp, or because they have none before.
+    """Return the grippers closed at a time [s], pads left out: by their last grasp, or for lack of one before.
 
     Raises:
         FitError: if an open gripper is named.

@@ -33,7 +33,7 @@ _ARCHIVE_ERRORS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperStart:
-    """State of a gripper before the first frame."""
+    """State of a gripper in the snapshot that a recording begins with, before its first frame."""
 
     name: str
     pose: NDArray[np.float64] | None

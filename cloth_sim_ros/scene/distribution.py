@@ -101,7 +101,7 @@ class Distribution:
         ]
 
     def check(self, scene: Scene) -> None:
-        """Refuse a scene in which a parameter of the distribution is unknown, 0, or cannot change at run time.
+        """Refuse a scene in which a parameter is unknown, no number, 0, not live, or without effect on the motion.
 
         Raises:
             DistributionError: if a parameter is unknown, no number, zero, or cannot change while the cloth runs.

@@ -107,7 +107,7 @@ def _write_index(study_folder: StudyFolder, rows: dict[int, dict[str, Any]]) -> 
 def _finished_rows(
     study_folder: StudyFolder, study: Study, resume: bool, retry_failed: bool
 ) -> dict[int, dict[str, Any]]:
-    """Return the rows of results of a folder's runs that need no repetition, by run.
+    """Return a folder's rows by run; delete those to repeat: killed and, with `retry_failed`, failed runs.
 
     Raises:
         StudyError: if the folder belongs to another study, or has results and `resume` is false.

@@ -111,7 +111,7 @@ class CompletenessCheck:
             entry.missing_from = self._findings.position
 
     def finish(self, *, whole: bool) -> None:
-        """End a file; compare its number of messages with its end record. `whole`: True if it was read to its end."""
+        """End a file: report a missing or recovered end record and, if read `whole`, another count of messages."""
         part = self._part
         assert part is not None
         notes = part.end_notes

@@ -72,7 +72,7 @@ def compile(model: Model) -> Plan:
     threads="threads_per_run",
 )
 class Plan(PlanQueries, Uncopyable):
-    """Accelerations, runs, energies and bounds of a model, as sums over its parts.
+    """Model compiled for the engine: its accelerations, runs, energies and bounds, as sums over its parts.
 
     Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. A plan is not
     re-entrant: it allows one call at a time.
@@ -370,7 +370,7 @@ class Plan(PlanQueries, Uncopyable):
         return available_threads() if is_long and self._is_shareable else 1
 
     def concurrent_runs(self, runs: int, steps: int, multirate: int) -> int:
-        """Return the number of runs to calculate concurrently, each by one thread; 1 if that does not pay.
+        """Return how many threads may each calculate a run: all available ones, or 1 if that does not pay.
 
         It is above 1 if the engine calculates alone and the runs are long enough to wake a thread. Sharing each run
         between threads must not be better. Runs with contact of the surface do not share their steps.

@@ -199,7 +199,7 @@ class GripperPlayer:
         return now
 
     def _advance(self, now: int, elapsed: float, period: float) -> bool:
-        """Send the commands due at a script time; return true if the scripts have ended.
+        """Send the commands due, set the scripts back after missed time; return true if they have ended.
 
         Args:
             now: script time [ns].

@@ -82,7 +82,7 @@ class BagTopics:
                 self._log.error("~/snapshot: no memory is left for it; end other processes, or take a smaller cloth")
 
     def next_labels(self, stamp: int) -> dict[str, Any]:
-        """Return the entries of the next frame record: id of the numbering, number, and stamp [ns].
+        """Return id of the numbering, number and stamp [ns] of the next frame record; empty without subscribers.
 
         Without subscribers there are none, and the record is not published.
         """
