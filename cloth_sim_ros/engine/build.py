@@ -80,7 +80,7 @@ class NoCompilerError(BuildError):
 
 
 def names_for(machine: str | None = None) -> tuple[str, ...]:
-    """Names of the libraries that are built for a machine, as `uname -m` names it; for this machine if None."""
+    """Return a machine's (`uname -m`) variants of the library, e.g. baseline and avx2; None: this machine."""
     machine = machine or platform.machine()
     try:
         return MACHINES[machine]

@@ -514,7 +514,7 @@ def smooth_shares(products: Array, squares: Array) -> Array:
 
 
 def motion_weights(information: Array, gradient: Array) -> Array:
-    """Return the weights of recordings whose gradients have a multivariate Student distribution, shape (recordings,).
+    """Return the weights of recordings under a multivariate Student distribution of their gradients, (recordings,).
 
     An unpredictable motion gets a small weight. The square of a gradient at the minimum lacks what its recording
     contributes to the minimum, therefore this part is added.

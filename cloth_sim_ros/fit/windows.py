@@ -146,7 +146,7 @@ def _search_start(problem: FitProblem, n_clouds: int) -> Array:
 def _ensure_accuracy(
     problem: FitProblem, linearization: Linearization, n_clouds: int, tolerance: float
 ) -> tuple[Linearization, float]:
-    """Tighten the tolerance until simulation errors are negligible; return the linearization and tolerance [m].
+    """Tighten the tolerance until errors are small against the changes by difference steps; linearize there.
 
     The simulation at the point is repeated at a tenth of the tolerance. The change must be a small fraction of the
     change by each difference step.

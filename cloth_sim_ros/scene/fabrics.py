@@ -159,7 +159,7 @@ def _is_number(value: Any) -> bool:
 
 @cache
 def _allowed() -> tuple[declare.Parameter, ...]:
-    """Return the declarations of the parameters that a fabric may set: material, and models of its elements."""
+    """Return the declarations of parameters that a fabric may set: material, membrane, bending without rest angles."""
     entries = [
         *declare.declared(sections.MaterialParameters, "material."),
         *declare.declared(sections.MembraneParameters, "membrane."),

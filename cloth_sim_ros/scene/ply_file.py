@@ -272,7 +272,7 @@ def _list_length(value: bytes, row: str, name: str) -> int:
 
 
 def _triangles(strip: list[int]) -> Iterator[list[int]]:
-    """Yield the triangles of triangle strips, which -1 separates; every second triangle is reversed."""
+    """Yield triangles of strips, which -1 separates; reverse every second one, drop those with a repeated vertex."""
     for ends, run in itertools.groupby(strip, key=lambda vertex: vertex == -1):
         if ends:
             continue

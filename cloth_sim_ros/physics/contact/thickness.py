@@ -29,7 +29,7 @@ MIN_GAP = 0.02
 
 
 def reduced_thickness(gaps: Array, thickness: float) -> Array | None:
-    """Return the thickness [m] of each contact after an event compressed some; None if all keep the full thickness.
+    """Return each contact's thickness [m], reduced if its gap is below the rest gap; None if all are full.
 
     A contact with a gap below the rest gap gets the thickness for which its gap is the start gap.
 

@@ -34,7 +34,7 @@ class ElementList:
 
 @attrs.frozen(kw_only=True)
 class GridFamily:
-    """All springs of a grid in one direction, with common stiffness, rest length and damping.
+    """Springs of a grid in one direction: stiffness, rest length, damping, border factor and parity.
 
     Attributes:
         name: right, down, diagonal, antidiagonal, right2 or down2; rows are counted downwards, columns to the right.

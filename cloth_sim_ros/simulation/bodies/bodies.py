@@ -258,7 +258,7 @@ def frame_wrenches(
 
 
 def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | None) -> tuple[list[Obstacle], Array]:
-    """Return the bodies in contact, obstacles and then pads of grippers that have a pose, and their poses.
+    """Return bodies that can touch the cloth, obstacles, then pads of placed grippers, and their poses (count, 7).
 
     Returns:
         Bodies, and poses: position [m] and quaternion x, y, z, w, shape (count, 7).

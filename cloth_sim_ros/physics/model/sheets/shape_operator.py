@@ -68,8 +68,8 @@ class ShapeOperator:
 
         Args:
             moduli: D11, D22 and D66 [N m]: moments per curvature along warp and weft, and half a twisting moment.
-            damping: dimensionless k_d0. The damping time is k_d0 sqrt(2) / w, with the highest frequency w of a single
-                triangle.
+            damping: dimensionless k_d0. The damping time is k_d0 sqrt(2) / w. w^2 bounds the squared frequencies of a
+                single triangle.
             masses: particle masses [kg], shape (n,).
         """
         valid = self.particles >= 0
@@ -94,7 +94,7 @@ class ShapeOperator:
         )
 
     def _damping_time(self, moduli: tuple[float, float, float], damping: float, masses: Array) -> float:
-        """Return the damping time k_d0 sqrt(2) / w [s], w the highest frequency of a single triangle; 0 if undamped."""
+        """Return the damping time k_d0 sqrt(2) / w [s]; w^2 is the largest trace of M^-1 K of a triangle."""
         if not damping or not max(moduli) > 0.0:
             return 0.0
         inverse = np.where(self.particles >= 0, 1.0 / masses[self.particles], 0.0)
