@@ -151,6 +151,8 @@ def test_blocks_run_in_a_clean_user_environment(run_docs: ModuleType, tmp_path: 
         ("a\n...\nz", "a\nb\nc\nz", False, True),
         ("a\n...\nz", "a\nb\nc", False, False),
         ("a", "a\nb", False, False),
+        ("a 1, ... (2 s)", "a 7, b, c (3 s)", True, True),
+        ("a 1, ... (2 s)", "a 7, b, c (3 m)", True, False),
     ],
 )
 def test_outputs_are_compared(run_docs: ModuleType, shown: str, printed: str, vary: bool, same: bool) -> None:
