@@ -113,7 +113,7 @@ def test_every_block_of_the_pages_is_run_or_says_why_not(run_docs: ModuleType) -
     assert all(block.words for some in blocks.values() for block in some if block.mark == "skip")
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorials/robot.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorials/robot.md", "docs/tutorials/library.md"])
 def test_python_blocks_run_as_shown(run_docs: ModuleType, name: str) -> None:
     blocks = [block for block in run_docs.blocks_of((ROOT / name).read_text(), name) if block.language == "python"]
     assert blocks

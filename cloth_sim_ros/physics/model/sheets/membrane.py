@@ -74,8 +74,8 @@ class FabricModuli:
         if not self.coupling_square <= _MAX_COUPLING_SQUARE:
             limit = math.sqrt(_MAX_COUPLING_SQUARE * (self.warp / self.weft))
             raise ValueError(
-                f"poisson_ratio is {self.poisson_ratio}; it must be between {-limit:.8g} and {limit:.8g}, just below the "
-                "root of the modulus along the warp over that along the weft, where the stiffness would be infinite"
+                f"poisson_ratio is {self.poisson_ratio}; it must be between {-limit:.8g} and {limit:.8g}, just below "
+                "the root of the modulus along the warp over that along the weft, where the stiffness would be infinite"
             )
 
     @property
