@@ -7,13 +7,14 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
+from launch_ros.substitutions import FindPackagePrefix, FindPackageShare
 
 _CONFIG = PathJoinSubstitution([FindPackageShare("cloth_sim_ros"), "config"])
 #: Name, default, meaning and choices of each argument.
@@ -70,6 +71,12 @@ def generate_launch_description() -> LaunchDescription:
 
 def _actions(context: LaunchContext) -> list[Any]:
     arguments = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
+    params_file = Path(arguments["params_file"]).expanduser()
+    if arguments["params_file"]:
+        # launch_ros would start the node without the file's parameters.
+        if not params_file.is_file():
+            raise FileNotFoundError(f"params_file:={arguments['params_file']} is not a file ({params_file.absolute()})")
+        arguments["params_file"] = str(params_file)
     clock = [{"use_sim_time": arguments["use_sim_time"].lower() == "true"}] if arguments["use_sim_time"] else []
     scene = [arguments["params_file"] or PathJoinSubstitution([_CONFIG, f"{arguments['scene']}.yaml"])]
     if not arguments["params_file"] and arguments["scene"] in _FILES:
@@ -94,6 +101,7 @@ def _actions(context: LaunchContext) -> list[Any]:
         actions.append(LogInfo(msg="rviz:=true is the former name of viewer:=rviz, and works for one release"))
         viewer = "rviz" if viewer == "none" else viewer
     if viewer != "none":
+        _check_viewer(context, viewer)
         full = "/".join(["", *arguments["namespace"].strip("/").split("/"), arguments["name"]]).replace("//", "/")
         actions += _VIEWERS[viewer](arguments, full, clock)
     return actions
@@ -157,6 +165,22 @@ _VIEWERS: dict[str, Callable[[dict[str, str], str, list[Any]], list[Any]]] = {
     "foxglove": _foxglove,
     "rviz": _rviz,
 }
+#: Packages of viewers, which may be missing.
+_VIEWER_PACKAGES = {"foxglove": "foxglove_bridge", "rviz": "rviz2"}
+
+
+def _check_viewer(context: LaunchContext, viewer: str) -> None:
+    """Refuse a viewer whose package is missing before the cloth starts: launch ends, but its nodes run on."""
+    if viewer not in _VIEWER_PACKAGES:
+        return
+    package = _VIEWER_PACKAGES[viewer]
+    try:
+        FindPackagePrefix(package).perform(context)
+    except LookupError as error:
+        raise RuntimeError(
+            f"viewer:={viewer} needs the package {package}: apt install ros-jazzy-{package.replace('_', '-')}, or "
+            "choose viewer:=rerun, which needs cloth_sim_ros[replay]"
+        ) from error
 
 
 def _misspelt_arguments(context: LaunchContext, known: list[str]) -> list[Any]:

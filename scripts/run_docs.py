@@ -4,7 +4,8 @@
 
 Blocks of bash or Python are run in order from the clone's top. An invisible comment before a block gives its kind.
 
-<!-- output -->                 output of the block before it; a line "..." stands for any lines.
+<!-- output -->                 output of the block before it; a line "..." stands for any lines, and "..." in a line
+                                for any text.
 <!-- output: numbers vary -->   the same, with each number standing for any number.
 <!-- file: NAME -->             content of a file.
 <!-- background: TEXT -->       runs in the background, once it has printed the text, until the page's next such block
@@ -105,7 +106,9 @@ def difference(shown: str, printed: str, *, numbers_vary: bool) -> str:
         return [_NUMBER_PATTERN.sub("#", line) for line in stripped] if numbers_vary else stripped
 
     expected, got = lines(shown), lines(printed)
-    pattern = "".join("(?:.*\n)*?" if line == "..." else re.escape(line) + "\n" for line in expected)
+    pattern = "".join(
+        "(?:.*\n)*?" if line == "..." else ".*".join(map(re.escape, line.split("..."))) + "\n" for line in expected
+    )
     if re.fullmatch(pattern, "".join(f"{line}\n" for line in got)):
         return ""
     return "\n".join(difflib.unified_diff(expected, got, "the page", "printed", lineterm=""))

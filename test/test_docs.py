@@ -113,7 +113,7 @@ def test_every_block_of_the_pages_is_run_or_says_why_not(run_docs: ModuleType) -
     assert all(block.words for some in blocks.values() for block in some if block.mark == "skip")
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/tutorials/robot.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/tutorials/robot.md", "docs/tutorials/library.md"])
 def test_python_blocks_run_as_shown(run_docs: ModuleType, name: str) -> None:
     blocks = [block for block in run_docs.blocks_of((ROOT / name).read_text(), name) if block.language == "python"]
     assert blocks
@@ -151,6 +151,8 @@ def test_blocks_run_in_a_clean_user_environment(run_docs: ModuleType, tmp_path: 
         ("a\n...\nz", "a\nb\nc\nz", False, True),
         ("a\n...\nz", "a\nb\nc", False, False),
         ("a", "a\nb", False, False),
+        ("a 1, ... (2 s)", "a 7, b, c (3 s)", True, True),
+        ("a 1, ... (2 s)", "a 7, b, c (3 m)", True, False),
     ],
 )
 def test_outputs_are_compared(run_docs: ModuleType, shown: str, printed: str, vary: bool, same: bool) -> None:

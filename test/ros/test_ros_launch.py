@@ -54,13 +54,19 @@ def text_of(value: Any, arguments: dict[str, str]) -> str:
 class Launched:
     """The launch file, run with launch arguments `name:=value` and stubs for its imports.
 
+    Args:
+        packages: packages of viewers that are installed.
+
     Attributes:
         declared: options of each declared argument.
         nodes: options of each node.
         words: log messages.
     """
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, **given: str) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, packages: tuple[str, ...] = ("foxglove_bridge", "rviz2"), **given: str
+    ) -> None:
+        self._packages = packages
         self.declared: dict[str, Any] = {}
         self.nodes: list[dict[str, Any]] = []
         self.words: list[str] = []
@@ -100,9 +106,17 @@ class Launched:
             "launch_ros": module("launch_ros"),
             "launch_ros.actions": module("launch_ros.actions", Node=lambda **options: self.nodes.append(options)),
             "launch_ros.substitutions": module(
-                "launch_ros.substitutions", FindPackageShare=lambda package: Substitution(lambda given: str(ROOT))
+                "launch_ros.substitutions",
+                FindPackageShare=lambda package: Substitution(lambda given: str(ROOT)),
+                FindPackagePrefix=lambda package: Substitution(lambda given: self._prefix(package)),
             ),
         }
+
+    def _prefix(self, package: str) -> str:
+        if package not in self._packages:
+            # ament_index_python.packages.PackageNotFoundError is a KeyError.
+            raise KeyError(f"package '{package}' not found")
+        return str(ROOT)
 
 
 def command_line(monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str]:
@@ -159,11 +173,14 @@ def test_every_argument_reaches_the_node(
 
 
 @pytest.mark.parametrize("use_sim_time", ["", "true", "False"])
-def test_launch_keeps_use_sim_time_of_parameter_file(monkeypatch: pytest.MonkeyPatch, use_sim_time: str) -> None:
-    launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=use_sim_time, viewer="rviz")
+def test_launch_keeps_use_sim_time_of_parameter_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, use_sim_time: str
+) -> None:
+    file = str(write_parameters(tmp_path / "own.yaml", cloth_sim={}))
+    launched = Launched(monkeypatch, params_file=file, use_sim_time=use_sim_time, viewer="rviz")
     expected = [{"use_sim_time": use_sim_time == "true"}] if use_sim_time else []
     cloth, rviz = launched.nodes
-    assert cloth["parameters"] == ["own.yaml", *expected]
+    assert cloth["parameters"] == [file, *expected]
     assert rviz["parameters"] == expected
 
 
@@ -266,6 +283,21 @@ def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) 
 def test_misspelt_launch_argument_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     launched = Launched(monkeypatch, param_file="own.yaml", robot="left")
     assert launched.words == ["cloth_sim.launch.py has no argument 'param_file'; did you mean 'params_file'?"]
+
+
+def test_missing_parameter_file_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    # launch_ros warns only, and the node would start with its defaults.
+    with pytest.raises(FileNotFoundError, match=r"params_file:=towle\.yaml is not a file \(/.*/towle\.yaml\)"):
+        Launched(monkeypatch, params_file="towle.yaml")
+
+
+@pytest.mark.parametrize(
+    ("viewer", "package"), [("foxglove", "ros-jazzy-foxglove-bridge"), ("rviz", "ros-jazzy-rviz2")]
+)
+def test_missing_viewer_is_refused_first(monkeypatch: pytest.MonkeyPatch, viewer: str, package: str) -> None:
+    with pytest.raises(RuntimeError, match=f"viewer:={viewer} needs .* apt install {package}, or choose viewer:=rerun"):
+        Launched(monkeypatch, packages=(), viewer=viewer)
+    assert len(Launched(monkeypatch, packages=(), viewer="rerun").nodes) == 2
 
 
 def test_two_cloths_are_launched_from_one_parameter_file(

@@ -35,9 +35,12 @@ public:
             for (std::int64_t i = 0; i < plan.count; ++i)
                 if (plan.inverse[i] > 0.0) masses_[slot_of(i)] = static_cast<T>(plan.masses[i]);
         }
-        if (plan.contacts.has_friction()) {
-            anchors_.assign(blocks * contacts_.count() * anchor_numbers * pitch, T(0));
-            pushes_.assign(blocks * contacts_.count() * pitch, T(0));
+        for (const std::int64_t obstacle : contacts_.active)
+            if (contacts_.obstacles[obstacle].has_friction()) friction_obstacles_.push_back(obstacle);
+        if (const auto n = static_cast<std::int64_t>(friction_obstacles_.size())) {
+            anchors_.assign(blocks * n * anchor_numbers * pitch, T(0));
+            pushes_.assign(blocks * n * pitch, T(0));
+            slots_.reserve(plan.count);
             for (std::int64_t i = 0; i < plan.count; ++i) slots_.push_back(slot_of(i));
             for_each_anchor([&](T& anchor, std::size_t from) { anchor = static_cast<T>(contacts_.anchors[from]); });
         }
@@ -65,7 +68,9 @@ public:
              bool record) {
         const Block<T> block{x, v, pitch_, masses_.data() + index * pitch_, count};
         ThreadState& state = threads_[thread];
+        std::int64_t friction_rank = 0;
         for (const std::int64_t obstacle : contacts_.active) {
+            const std::int64_t rank = contacts_.obstacles[obstacle].has_friction() ? friction_rank++ : -1;
             SkipState& skip = state.skips[index * contacts_.count() + obstacle];
             const bool is_jaw = contacts_.obstacles[obstacle].parallel_jaw >= 0;
             if (is_jaw) jaws_.record_load(obstacle, index, step, {});
@@ -81,9 +86,7 @@ public:
                 limit = T(contacts_.thickness) + (run_.steps ? T(2.0 * run_.step) * bound.speed : T(0));
                 if (skip_far_mesh(skip, bound, limit, obstacle, step)) continue;
             }
-            T* const anchors = anchors_.empty() || !(contacts_.obstacles[obstacle].has_friction())
-                                   ? nullptr
-                                   : anchors_.data() + (index * contacts_.count() + obstacle) * anchor_numbers * pitch_;
+            T* const anchors = rank < 0 ? nullptr : anchors_.data() + anchor_row(index, rank) * pitch_;
             T* const sums = record && run_.record_obstacles && step >= 0 ? sums_of(index, obstacle) : nullptr;
             Reduced reduced;
             if (!reduced_.empty()) {
@@ -127,7 +130,7 @@ public:
         for (std::int64_t i = 0; i < count; ++i)
             for (int c = 0; c < 3; ++c) f[4 * i + c] = forces[c * pitch_ + i];
     }
-    /// Sum up the records in order of the blocks, and the contact summary.
+    /// Sum up the records in order of the blocks, and the contact summary. The run's anchors at other obstacles stay.
     void finish() {
         if (run_.anchors)
             for_each_anchor([&](T& anchor, std::size_t to) { run_.anchors[to] = static_cast<double>(anchor); });
@@ -238,13 +241,18 @@ private:
     /// Call `visit` with each number of an anchor in the run, and its index among those of the plan.
     template <class F>
     void for_each_anchor(F&& visit) {
-        const std::int64_t k = contacts_.count(), n = static_cast<std::int64_t>(slots_.size());
-        for (std::int64_t obstacle = 0; obstacle < k; ++obstacle)
+        const std::int64_t n = static_cast<std::int64_t>(slots_.size());
+        for (std::size_t rank = 0; rank < friction_obstacles_.size(); ++rank)
             for (int c = 0; c < anchor_numbers; ++c)
                 for (std::int64_t i = 0; i < n; ++i) {
-                    const std::int64_t row = (slots_[i] / pitch_ * k + obstacle) * anchor_numbers + c;
-                    visit(anchors_[row * pitch_ + slots_[i] % pitch_], (obstacle * anchor_numbers + c) * n + i);
+                    const std::int64_t row = anchor_row(slots_[i] / pitch_, rank) + c;
+                    visit(anchors_[row * pitch_ + slots_[i] % pitch_],
+                          (friction_obstacles_[rank] * anchor_numbers + c) * n + i);
                 }
+    }
+    /// Row of a block's first anchor number at the obstacle of a rank in `friction_obstacles_`.
+    std::int64_t anchor_row(std::int64_t block, std::int64_t rank) const {
+        return (block * static_cast<std::int64_t>(friction_obstacles_.size()) + rank) * anchor_numbers;
     }
     PosedObstacle<T> posed_at(ThreadState& state, int thread, std::int64_t obstacle, std::int64_t step) const {
         const Pose& pose = state.poses.at(obstacle, step);
@@ -442,10 +450,11 @@ private:
     JawRun jaws_;
     Array<T>& masses_;
     std::vector<ThreadState> threads_;
-    Array<T> sums_, anchors_, pushes_;          ///< the pushes of the last step's friction
-    Array<T> reduced_, rates_, growth_powers_;  ///< thickness of each contact, its rate, growth power by block
-    std::vector<Index> hints_;                  ///< of meshes: a near triangle of each particle
-    std::vector<std::int64_t> slots_;           ///< slot of each particle in the blocks
+    std::vector<std::int64_t> friction_obstacles_;  ///< active obstacles with friction
+    Array<T> sums_, anchors_, pushes_;              ///< by block and rank: anchors, and the last step's friction pushes
+    Array<T> reduced_, rates_, growth_powers_;      ///< thickness of each contact, its rate, growth power by block
+    std::vector<Index> hints_;                      ///< of meshes: a near triangle of each particle
+    std::vector<std::int64_t> slots_;               ///< slot of each particle in the blocks
 };
 
 }  // namespace cloth::contact

@@ -36,6 +36,9 @@ from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriang
 MIN_SINE = 0.01
 #: Smallest strain at which a modulus stops growing: the square of a much smaller one underflows.
 MIN_STIFFENING_STRAIN = 1e-12
+#: Largest product of the two Poisson's ratios. The stiffness of plane stress is then at most a million times a modulus;
+#: at a product of 1 it is infinite.
+_MAX_COUPLING_SQUARE = 1.0 - 1e-6
 
 
 @attrs.frozen(kw_only=True)
@@ -68,16 +71,16 @@ class FabricModuli:
                     f"factor at least {least:.4g}, which the geometry alone gives at that strain; [0.0, 1.0] is a "
                     "constant modulus"
                 )
-        if not self.coupling_square < 1.0:
-            limit = math.sqrt(self.warp / self.weft)
+        if not self.coupling_square <= _MAX_COUPLING_SQUARE:
+            limit = math.sqrt(_MAX_COUPLING_SQUARE * (self.warp / self.weft))
             raise ValueError(
-                f"poisson_ratio is {self.poisson_ratio}; it must be between {-limit:.4g} and {limit:.4g}, the root of "
-                "the modulus along the warp over that along the weft"
+                f"poisson_ratio is {self.poisson_ratio}; it must be between {-limit:.8g} and {limit:.8g}, just below "
+                "the root of the modulus along the warp over that along the weft, where the stiffness would be infinite"
             )
 
     @property
     def coupling_square(self) -> float:
-        """Product ν12 ν21 of Poisson's ratios along warp and weft; below 1."""
+        """Product ν12 ν21 of Poisson's ratios along warp and weft; at most 1 - 1e-6."""
         return self.poisson_ratio * self.poisson_ratio * (self.weft / self.warp)
 
     def stiffness(self) -> tuple[float, float, float, float]:
