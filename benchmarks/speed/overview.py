@@ -1,25 +1,18 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speed of the engine: kernels, plans, scene C, a stiff sheet, threads.
-
-Times per spring are compared with hand-vectorised C. Other tables list steps with further forces, the real-time factors
-of scene C and of a stiff sheet, and the gain of a second thread.
-"""
+"""Speed of the engine: time per spring against hand-vectorised C, scene C, and the gain of a second thread."""
 
 from __future__ import annotations
 
 import argparse
 import os
 
-import attrs
 import numpy as np
-from support.problems import curtain, hung
+from support.problems import curtain
 from support.reference_kernel import find_compiler
 
 from benchmarks.speed import curtain as speed_curtain
-from benchmarks.speed import stiff as speed_stiff
 from benchmarks.speed.kernels import kernel_time, thread_gain
-from benchmarks.speed.plans import PlanTime, bending_time, force_times, grip_time, mesh_time
 from validation.report import Report
 
 #: Largest ratio of a whole step to the forces of the C kernel.
@@ -30,10 +23,6 @@ MIN_CURTAIN_SPEEDS = {32: 25.0, 64: 8.0, 128: 1.5}
 MIN_THREAD_GAIN, THREADS_FROM = 1.7, 96
 #: Tolerances of scene C [m]: the loosest with an error of at most 1 mm counts. The first is the default.
 TOLERANCES = (1e-3, 1e-4)
-#: Grids for bending models and for grippers, particles a side.
-PLAN_GRID = 64
-#: Factor of the moduli of scene H, and its number of frames: 0.5 s.
-STIFFNESS, STIFF_FRAMES = 1000.0, 30
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,9 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {parts}")
     for name, sizes, text in (
         ("--kernels", [32, 64, 96, 128, 256, 512], "sheets for ns per spring, particles a side"),
-        ("--meshes", [1024, 4096, 16384, 100_000], "meshes, particles"),
         ("--curtains", [*speed_curtain.SCORED_FRAMES], "sheets of scene C"),
-        ("--stiff", [32], "sheets of scene H with moduli x 1000"),
         ("--threads", [64, 96, 128, 256], "sheets for two threads against one"),
     ):
         parser.add_argument(name, type=int, nargs="+", metavar="N", default=sizes, help=text)
@@ -80,22 +67,6 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
                 report.fail(f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; {target}")
 
 
-def _plans(options: argparse.Namespace, report: Report) -> None:
-    columns = ["scene", "particles", "a step", "estimated", "to the estimate"]
-    table = report.add_table("Whole runs, ns per particle and step, one core", columns)
-    rows: list[tuple[str, PlanTime]] = []
-    for count in options.meshes:
-        rows.append(("mesh, vertices in random order", mesh_time(count, seconds=options.seconds)))
-    for bending in ("axial", "opposite", "crossed", "altitude", "quadratic"):
-        rows.append((f"grid, bending {bending}", bending_time(PLAN_GRID, bending, seconds=options.seconds)))
-    for turning in (False, True):
-        scene = f"grid, gripper that {'moves and turns' if turning else 'moves'}"
-        rows.append((scene, grip_time(PLAN_GRID, turning=turning, seconds=options.seconds)))
-    rows += [(f"grid, {label}", row) for label, row in force_times(PLAN_GRID, seconds=options.seconds)]
-    for scene, row in rows:
-        table.rows.append([scene, row.particles, row.step, row.estimate, row.step / row.estimate])
-
-
 def _curtains(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "tolerance m", "cores", "x real time", "least", "most", "evaluations a frame", "error m", "at s"]
     table = report.add_table("Scene C as shipped", columns)
@@ -116,25 +87,6 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
         report.note(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
         if best.factor < min_speed:
             report.fail(f"curtain N = {resolution}: {best.factor:.3g} x real time; target {min_speed:g}")
-
-
-def _stiff(options: argparse.Namespace, report: Report) -> None:
-    columns = ["N", "stepped", "integrator", "x real time", "frame ms", "slowest ms", "frames late", "error m"]
-    table = report.add_table(f"Scene H, moduli x {STIFFNESS:g}, tolerance {speed_stiff.TOLERANCE:g} m, 0.5 s", columns)
-    for resolution in options.stiff:
-        scene = attrs.evolve(hung(resolution, STIFFNESS), frames=STIFF_FRAMES)
-        known = speed_curtain.trusted(scene)
-        for speed in speed_stiff.stiff_speeds(scene, known, seconds=options.seconds):
-            frames = 1e3 * speed.frames
-            row = [resolution, speed.name, ", ".join(speed.integrators), speed.factor, float(np.median(frames))]
-            table.rows.append([*row, float(frames.max()), speed.late, speed.error])
-            if speed.name != "as shipped":
-                continue
-            if speed.factor < 1.0:
-                report.fail(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; target 1")
-            if speed.error > speed_stiff.TOLERANCE:
-                report.fail(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
-        report.note(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
 
 
 def _threads(options: argparse.Namespace, report: Report) -> None:
@@ -158,4 +110,4 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
     )
 
 
-PARTS = {"kernels": _kernels, "plans": _plans, "curtain": _curtains, "stiff": _stiff, "threads": _threads}
+PARTS = {"kernels": _kernels, "curtain": _curtains, "threads": _threads}

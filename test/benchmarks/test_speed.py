@@ -17,7 +17,6 @@ from benchmarks.__main__ import main
 from benchmarks.speed import curtain as speed_curtain
 from benchmarks.speed import kernels as speed_kernels
 from benchmarks.speed import overview as speed
-from benchmarks.speed import stiff as speed_stiff
 from benchmarks.speed.curtain import CurtainSpeed
 from cloth_sim_ros.session.mcap_builder import MAGIC
 
@@ -68,15 +67,6 @@ def test_engine_is_timed_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp
     assert [row[:3] for row in written["tables"][0]["rows"]] == [[8, "float32", "-"], [8, "float64", "-"]]
     assert all(row[3] > 0.0 and row[4] == "-" for row in written["tables"][0]["rows"])
     assert any("no C compiler" in note for note in written["notes"])
-
-
-def test_plan_times_are_compared_with_estimates(tmp_path: Path) -> None:
-    file = tmp_path / "speed.json"
-    assert main(["speed", "--only", "plans", "--meshes", "100", "--seconds", "0", "--json", str(file)]) == 0
-    rows = json.loads(file.read_text())["tables"][0]["rows"]
-    assert [row[1] for row in rows] == [100] + 9 * [speed.PLAN_GRID**2]
-    assert all(row[2] > 0.0 and row[3] > 0.0 for row in rows)
-    assert [row[4] for row in rows] == pytest.approx([row[2] / row[3] for row in rows])
 
 
 def test_two_threads_give_the_same_bits() -> None:
@@ -157,19 +147,3 @@ def test_cores_restores_the_affinity() -> None:
     assert os.sched_getaffinity(0) == before
     with speed_curtain.cores(one_core=False):
         assert os.sched_getaffinity(0) == before
-
-
-def test_stiff_sheet_is_timed_per_frame(tmp_path: Path) -> None:
-    file = tmp_path / "speed.json"
-    assert main(["speed", "--only", "stiff", "--stiff", "6", "--seconds", "0", "--json", str(file)]) == 0
-    rows = json.loads(file.read_text())["tables"][0]["rows"]
-    assert [row[1] for row in rows] == ["as shipped", "explicit"]
-    assert rows[1][2] == "leapfrog"
-    assert all(0.0 < row[4] <= row[5] and 0.0 <= row[6] <= 1.0 and row[7] <= speed_stiff.TOLERANCE for row in rows)
-
-
-def test_stiff_speed_counts_late_frames_of_all_runs() -> None:
-    frames = np.array([[0.5, 0.5, 2.0], [0.25, 0.25, 0.25], [0.5, 0.5, 0.5]]) * PERIOD
-    speed = speed_stiff.StiffSpeed(name="as shipped", integrators=("implicit",), frames=frames, error=0.0)
-    assert speed.factor == pytest.approx(2.0)
-    assert speed.late == pytest.approx(1.0 / 9.0)
