@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from validation.__main__ import main
 from validation.case_pool import CasePool, CaseResult
 from validation.tolerance import bound
-from validation.tolerance.climb import FAMILIES, Climb, evaluate_vector, run_climb
+from validation.tolerance.climb import FAMILIES, Climb, VectorGenerator, evaluate_vector, run_climb
 from validation.tolerance.compiled_reference import (
     LANES,
     PERTURBATION,
@@ -33,17 +33,15 @@ from validation.tolerance.compiled_reference import (
     ReferenceSystem,
     trajectories,
 )
-from validation.tolerance.linear_motion import exact_positions
 from validation.tolerance.random_scenes import MAX_COST, RandomScene, draw_scene, initial_state
-from validation.tolerance.recording import record_run
-from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, regime_scene
-from validation.tolerance.vector_generator import VectorGenerator
+from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, exact_positions, regime_scene
 from validation.tolerance.violent import run_violent
 from validation.tolerance.windows import (
     SceneEvaluation,
     evaluate_scene,
     evaluate_window,
     grip_points,
+    record_run,
     unit_perturbations,
 )
 
@@ -334,7 +332,7 @@ def test_evaluated_scenes_are_read_from_the_file(held_scene, tmp_path, monkeypat
 
 
 def test_differing_forces_are_reported(held_scene, monkeypatch):
-    monkeypatch.setattr("validation.tolerance.recording._mismatch", lambda *_: 1e-9)
+    monkeypatch.setattr("validation.tolerance.windows._mismatch", lambda *_: 1e-9)
     evaluation = evaluate_scene(2, held_scene, 1)
     assert evaluation.verdict == "FORCES DIFFER"
     assert not evaluation.windows

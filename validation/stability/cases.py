@@ -24,8 +24,7 @@ from cloth_sim_ros.simulation.events import Event, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.stability.energy_account import EnergyAccount
 from validation.stability.limits import max_stretch
-from validation.stability.stress_cases import STRESS_CASES, StressFrame
-from validation.stability.stress_cases_contact import CONTACT_STRESS_CASES
+from validation.stability.stress_cases import CONTACT_STRESS_CASES, STRESS_CASES, StressFrame
 
 RESOLUTION = 12
 #: Simulated time of a case [s].
