@@ -18,7 +18,7 @@ COMMANDS = {
     "scale": ("benchmarks.scale.overview", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
     "peers": ("benchmarks.peers.throughput", "other engines on the same sheet, in an environment of their own"),
     "peers-contact": ("benchmarks.peers.contact", "other engines on a drape, a fold and a pinch; depth and creep"),
-    "contact": ("benchmarks.contact.obstacles", "obstacles and friction against theory, and the cost of contact"),
+    "contact": ("benchmarks.contact.contact", "friction over a drum, impacts, drift, and the cost of contact"),
     "robot-links": ("benchmarks.contact.robot_links", "cost of a robot's links far from the cloth and near it"),
     "batch": ("benchmarks.batch.throughput", "many cloths in one process: speed, threads, memory, rollouts, a soak"),
     "studies": ("benchmarks.batch.studies", "cloth_batch beside plain simulations, and Dask's cost per task"),

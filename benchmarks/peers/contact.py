@@ -14,7 +14,7 @@ import attrs
 import numpy as np
 from support.problems import PERIOD
 
-from benchmarks.peers import contact_measures
+from benchmarks.peers import contact_runs
 from benchmarks.peers import contact_scenes as peer_scenes
 from benchmarks.peers import environment as peer_environment
 from benchmarks.peers import jobs as peer_jobs
@@ -190,8 +190,8 @@ def evaluate(
     """Evaluate an engine's recording of a scene; the error only of a comparable material."""
     frames, pads = recording.frames, recording.pads
     solids = zip(contact_scene.solids, contact_scene.solid_positions, strict=True)
-    inside = [contact_measures.depth(frames, solid, position) for solid, position in solids]
-    inside += [contact_measures.depth(frames, solid, pads[:, k]) for k, solid in enumerate(contact_scene.pads)]
+    inside = [contact_runs.depth(frames, solid, position) for solid, position in solids]
+    inside += [contact_runs.depth(frames, solid, pads[:, k]) for k, solid in enumerate(contact_scene.pads)]
     outcome = _outcome(contact_scene, recording)
     result = ContactResult(
         scene=contact_scene.name,
@@ -208,30 +208,30 @@ def evaluate(
 
 
 def _drape(contact_scene: ContactScene, recording: EngineRecording, result: ContactResult) -> ContactResult:
-    depth = contact_measures.depth_in_ball(recording.frames, contact_scene.triangles, RADIUS)
+    depth = contact_runs.depth_in_ball(recording.frames, contact_scene.triangles, RADIUS)
     n_frames = round(DRAPE_CREEP_TIME / PERIOD) + 1
     creep = math.nan
     if len(recording.frames) >= n_frames:
         frames, contact_range = recording.frames[-n_frames:], CONTACT_RANGE * THICKNESS
-        creep = contact_measures.creep_on_ball(frames, DRAPE_CREEP_TIME, RADIUS, contact_range)
+        creep = contact_runs.creep_on_ball(frames, DRAPE_CREEP_TIME, RADIUS, contact_range)
     return attrs.evolve(result, depth=depth, creep=creep)
 
 
 def _fold(contact_scene: ContactScene, recording: EngineRecording, result: ContactResult) -> ContactResult:
-    crossed = contact_measures.crossings(recording.frames, contact_scene.triangles, contact_scene.start)
+    crossed = contact_runs.crossings(recording.frames, contact_scene.triangles, contact_scene.start)
     return attrs.evolve(result, crossed=len(crossed))
 
 
 def _pinch(contact_scene: ContactScene, recording: EngineRecording, result: ContactResult) -> ContactResult:
     frames, pad = recording.frames, contact_scene.pads[0]
-    fell = contact_measures.dropped(frames, pad, recording.pads)
+    fell = contact_runs.dropped(frames, pad, recording.pads)
     if fell is not None:
         return attrs.evolve(result, outcome=f"dropped at {fell * PERIOD:.2f} s")
     if recording.seen < PINCH_SETTLING_TIME + MIN_PINCH_CREEP_TIME:
         return result
     first = round(PINCH_SETTLING_TIME / PERIOD)
-    between = contact_measures.between_pads(contact_scene.start, pad, contact_scene.pad_positions)
-    creep = contact_measures.sinking(frames[first:], recording.seen - PINCH_SETTLING_TIME, between)
+    between = contact_runs.between_pads(contact_scene.start, pad, contact_scene.pad_positions)
+    creep = contact_runs.sinking(frames[first:], recording.seen - PINCH_SETTLING_TIME, between)
     return attrs.evolve(result, creep=creep)
 
 

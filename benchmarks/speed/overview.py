@@ -1,19 +1,172 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speed of the engine: time per spring against hand-vectorised C, scene C, and the gain of a second thread."""
+"""Speed of the engine: time per spring against hand-vectorised C, scene C, and the gain of a second thread.
+
+The scene of times per spring is the square sheet of `raw_sheet`, six damped families, gravity and drag.
+"""
 
 from __future__ import annotations
 
 import argparse
 import os
+import statistics
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
 
+import attrs
 import numpy as np
-from support.problems import curtain
-from support.reference_kernel import find_compiler
+from support.problems import PERIOD, curtain
+from support.raw_sheet import RawSheet
+from support.reference_kernel import ReferenceKernel, find_compiler
 
 from benchmarks.speed import curtain as speed_curtain
-from benchmarks.speed.kernels import kernel_time, thread_gain
+from benchmarks.timing import repeated, time_interleaved
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
 from validation.report import Report
+
+#: Step too short to move anything [s].
+_STILL = 1e-9
+#: Smallest difference in steps of the two runs whose time difference gives a step's time.
+_MIN_STEPS = 40
+#: Particles times steps in one turn of a candidate: a few milliseconds.
+_UPDATES_A_TURN = 1_000_000
+#: Step as a share of the stability limit in the runs whose bits are compared.
+_SHARE = 0.9
+
+
+@attrs.frozen(kw_only=True)
+class KernelTime:
+    """Nanoseconds per spring, medians.
+
+    `c` is one force evaluation of the C kernel; None without a C compiler. `step` is a whole step of the engine,
+    without the cost per run. `ratio` is step to C, the median over rounds. `accelerations` is a separate evaluation
+    that includes a copy of the state; None in single precision, which lacks it.
+    """
+
+    resolution: int
+    precision: str
+    c: float | None
+    accelerations: float | None
+    ratio: float | None
+    step: float
+
+
+@attrs.frozen(kw_only=True)
+class ThreadGain:
+    """Gain of a second thread in a frame of 1/60 s.
+
+    `same_bits` tells if both give the same bits. `most` is the gain in throughput of two independent sheets on two
+    threads over one sheet on one thread.
+    """
+
+    resolution: int
+    precision: str
+    steps: int
+    one_thread: float
+    two_threads: float
+    gain: float
+    most: float
+    same_bits: bool
+
+
+def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: float) -> KernelTime:
+    """Time the engine on one core, on a sheet of `resolution` x `resolution` particles, for about `seconds`."""
+    sheet = RawSheet(resolution=resolution, drag=1.0)
+    plan, (x, v) = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = max(_UPDATES_A_TURN // resolution**2, _MIN_STEPS)
+    short_steps = 20
+    out = np.empty_like(x)
+
+    lengths = {"few": short_steps, "many": short_steps + steps}
+    candidates: dict[str, Callable[[], object]] = {
+        name: steps_runner(plan, (x, v), count, single_precision=single) for name, count in lengths.items()
+    }
+    if not single:
+        candidates["accelerations"] = repeated(lambda: plan.accelerations(0.0, x, v, out), steps)
+    if compiler is not None:
+        kernel = ReferenceKernel(sheet.sheet(), dtype, compiler=compiler)
+        kernel.set_state(x, v)
+        candidates["c"] = lambda: kernel.evaluate(steps)
+    turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
+    unit = 1e9 / (steps * len(sheet.sheet().pairs))
+    whole = turns.differences("many", "few")
+    ratio = None
+    if compiler is not None:
+        pairs = zip(whole, turns.seconds["c"], strict=True)
+        ratio = statistics.median(engine_time / c_time for engine_time, c_time in pairs)
+    return KernelTime(
+        resolution=resolution,
+        precision=np.dtype(dtype).name,
+        c=unit * turns.median("c") if compiler else None,
+        accelerations=None if single else unit * turns.median("accelerations"),
+        ratio=ratio,
+        step=unit * statistics.median(whole),
+    )
+
+
+def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
+    """Time frames of scene C with stable steps on one thread and on two, for about `seconds`.
+
+    Each call includes the start of the second thread.
+    """
+    sheet = RawSheet(resolution=resolution, drag=1.0)
+    plan, start = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = int(np.ceil(PERIOD / (_SHARE * leapfrog_limit(*plan.spectral_bounds(start[0])))))
+    # Enough frames per turn for some milliseconds.
+    frames = max(_UPDATES_A_TURN // (steps * resolution**2), 1)
+
+    def repeat(which: Plan, threads: int) -> Callable[[], None]:
+        return repeated(steps_runner(which, start, steps, single_precision=single, threads=threads), frames)
+
+    ends = []
+    for threads in (1, 2):
+        (run,), _ = plan.runs(0.0, 3 * PERIOD, start, [3 * steps], single_precision=single, threads=threads)
+        ends.append((run.x.tobytes(), run.v.tobytes()))
+    independent_plans = [sheet.plan(sheet.index[0]) for _ in range(2)]
+    with ThreadPoolExecutor(len(independent_plans)) as pool:
+
+        def apart() -> None:
+            for done in [pool.submit(repeat(independent_plan, 1)) for independent_plan in independent_plans]:
+                done.result()
+
+        runs = {"1": repeat(plan, 1), "2": repeat(plan, 2), "apart": apart}
+        turns = time_interleaved(runs, seconds=seconds)
+    return ThreadGain(
+        resolution=resolution,
+        precision=np.dtype(dtype).name,
+        steps=steps,
+        one_thread=turns.median("1") / frames,
+        two_threads=turns.median("2") / frames,
+        gain=turns.ratio("1", "2"),
+        most=2.0 * turns.ratio("1", "apart"),
+        same_bits=ends[0] == ends[1],
+    )
+
+
+def steps_runner(
+    plan: Plan,
+    start: tuple[Array, Array],
+    steps: int,
+    *,
+    t: float = 0.0,
+    single_precision: bool = False,
+    threads: int = 1,
+) -> Callable[[], object]:
+    """Return a function that takes a number of steps of negligible duration, which cost as much as others."""
+    return partial(plan.runs, t, steps * _STILL, start, [steps], single_precision=single_precision, threads=threads)
+
+
+def _start(sheet: RawSheet) -> tuple[Array, Array]:
+    x = np.ascontiguousarray(sheet.flat(hung=False).T)
+    return x, np.zeros_like(x)
+
 
 #: Largest ratio of a whole step to the forces of the C kernel.
 MAX_KERNEL_RATIO = 1.0

@@ -5,7 +5,7 @@
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.batch import cloths as batch_cloths
+from benchmarks.batch import throughput
 from benchmarks.batch import throughput as batch
 
 pytest.importorskip("gymnasium")
@@ -36,7 +36,7 @@ def test_batch_command_refuses_a_single_cloth(capsys):
 
 
 def test_carried_cloths_are_awake_and_grasped():
-    with batch_cloths.CarriedCloths(3, 6) as carried:
+    with throughput.CarriedCloths(3, 6) as carried:
         for snapshot in carried.cloths.snapshots:
             assert snapshot.state.v.any()
             assert len(snapshot.state.memory["grip.particles"])

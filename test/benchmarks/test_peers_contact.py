@@ -19,7 +19,6 @@ from support.problems import PERIOD
 
 from benchmarks.__main__ import main
 from benchmarks.peers import contact as peers_contact
-from benchmarks.peers import contact_measures
 from benchmarks.peers import contact_runs as peer_contact
 from benchmarks.peers import contact_scenes as peer_scenes
 from benchmarks.peers import environment as peer_environment
@@ -119,24 +118,24 @@ def test_ball_depth_includes_triangle_interiors() -> None:
     angles = 2.0 * np.pi * np.arange(3) / 3.0
     deep = np.stack([around * np.cos(angles), around * np.sin(angles), np.full(3, height)], axis=1)
     outside = deep + np.array([0.0, 0.0, 0.1])
-    depth = contact_measures.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
+    depth = peer_contact.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
     assert depth == pytest.approx(0.004)
-    assert contact_measures.depth_in_ball(np.array([outside]), TRIANGLE, 0.1) == 0.0
+    assert peer_contact.depth_in_ball(np.array([outside]), TRIANGLE, 0.1) == 0.0
     # Without area the nearest edge counts, here its far end. A triangle that is a point is ignored.
     flat = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 0.15], [0.0, 0.0, 0.09]])
     both = np.array([[0, 1, 2], [0, 0, 0]])
-    assert contact_measures.depth_in_ball(flat[None], both, 0.1) == pytest.approx(0.01)
+    assert peer_contact.depth_in_ball(flat[None], both, 0.1) == pytest.approx(0.01)
 
 
 def test_depth_is_of_the_worst_frame() -> None:
     table = Obstacle(name="table", shape="plane")
     frames = np.zeros((3, 2, 3))
     frames[:, :, 2] = [[0.1, 0.2], [-0.003, 0.2], [0.1, -0.001]]
-    assert contact_measures.depth(frames, table, np.zeros(3)) == pytest.approx(0.003)
-    assert contact_measures.depth(frames[:1], table, np.zeros(3)) == 0.0
+    assert peer_contact.depth(frames, table, np.zeros(3)) == pytest.approx(0.003)
+    assert peer_contact.depth(frames[:1], table, np.zeros(3)) == 0.0
     # A moving solid: its position in each frame counts.
     places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.005], [0.0, 0.0, 0.0]])
-    assert contact_measures.depth(frames, table, places) == pytest.approx(0.001)
+    assert peer_contact.depth(frames, table, places) == pytest.approx(0.001)
 
 
 def test_crossings_list_self_intersecting_frames() -> None:
@@ -150,22 +149,22 @@ def test_crossings_list_self_intersecting_frames() -> None:
     folded[over, 2] = 0.002
     through = folded.copy()
     through[33, 2] = -0.002
-    assert contact_measures.crossings(np.array([flat, folded, through, folded]), triangles, flat) == [2]
+    assert peer_contact.crossings(np.array([flat, folded, through, folded]), triangles, flat) == [2]
 
 
 def test_ball_creep_is_of_the_fastest_particle() -> None:
     first = np.array([[0.0, 0.0, 0.102], [0.102, 0.0, 0.0], [0.0, 0.0, 0.12], [0.0, 0.102, 0.0]])
     last = first + np.array([[1e-6, 0.0, 0.0], [0.0, 3e-6, 0.0], [1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]])
     # Of the last two particles one was never on the ball, and one left it.
-    creep = contact_measures.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
+    creep = peer_contact.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
     assert creep == pytest.approx(6e-6, rel=1e-3)
-    assert math.isnan(contact_measures.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
+    assert math.isnan(peer_contact.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
 
 
 def test_pinch_result_uses_the_clamped_particles() -> None:
     contact_scene = peer_scenes.pinch(RESOLUTION)
     start, pad, places = contact_scene.start, contact_scene.pads[0], contact_scene.pad_positions
-    between = contact_measures.between_pads(start, pad, places)
+    between = peer_contact.between_pads(start, pad, places)
     assert (start[between, 2] >= -peer_scenes.CLAMPED_HEIGHT).all()
     assert (np.abs(start[between, 0]) <= 0.5 * peer_scenes.PAD_SIZE[0]).all()
     assert between.sum() == 4

@@ -15,7 +15,6 @@ from support.problems import PERIOD, curtain
 from benchmarks import timing as speed_turns
 from benchmarks.__main__ import main
 from benchmarks.speed import curtain as speed_curtain
-from benchmarks.speed import kernels as speed_kernels
 from benchmarks.speed import overview as speed
 from benchmarks.speed.curtain import CurtainSpeed
 from cloth_sim_ros.session.mcap_builder import MAGIC
@@ -70,17 +69,17 @@ def test_engine_is_timed_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_two_threads_give_the_same_bits() -> None:
-    row = speed_kernels.thread_gain(12, np.float32, seconds=0.0)
+    row = speed.thread_gain(12, np.float32, seconds=0.0)
     assert row.same_bits
     assert row.gain > 0.0
     # The steps of a frame are stable.
     sheet = curtain(16).build()[0]
-    limit = speed_kernels.leapfrog_limit(*sheet.spectral_bounds(curtain(16).build()[1].x))
-    assert PERIOD / speed_kernels.thread_gain(16, np.float64, seconds=0.0).steps < limit
+    limit = speed.leapfrog_limit(*sheet.spectral_bounds(curtain(16).build()[1].x))
+    assert PERIOD / speed.thread_gain(16, np.float64, seconds=0.0).steps < limit
 
 
 def test_different_bits_and_a_small_gain_fail(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
-    row = speed_kernels.ThreadGain(
+    row = speed.ThreadGain(
         resolution=96,
         precision="float64",
         steps=10,
