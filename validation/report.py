@@ -49,7 +49,8 @@ class Report:
     """Results of one command."""
 
     title: str
-    command: str
+    #: Set by `command.run_command`.
+    command: str = ""
     tables: list[Table] = attrs.field(factory=list)
     notes: list[str] = attrs.field(factory=list)
     #: Requirements that were not met; any makes the exit status 1.

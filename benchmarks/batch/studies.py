@@ -31,18 +31,17 @@ _HOURS = 24.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
-    parser.add_argument("--resolution", type=int, default=30, help="particles a side (default: %(default)s)")
-    parser.add_argument("--runs", type=int, default=8, help="of each study (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=4.0, help="simulated, of each run (default: %(default)s)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default: %(default)s)")
-    tasks = "empty tasks for Dask's own cost (default: %(default)s)"
-    parser.add_argument("--tasks", type=int, default=3000, help=tasks)
+    parser.add_argument("--resolution", type=int, default=30, help="particles a side")
+    parser.add_argument("--runs", type=int, default=8, help="of each study")
+    parser.add_argument("--seconds", type=float, default=4.0, help="simulated, of each run")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--tasks", type=int, default=3000, help="empty tasks for Dask's own cost")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Measure a study and size a cluster from the result."""
     study = _study(options)
-    report = Report("Studies", f"python -m benchmarks studies --resolution {options.resolution} --runs {options.runs}")
+    report = Report("Studies")
     with local_scheduler(options.workers, lambda _text: None) as address:
         task = _task_cost(address, options.tasks)
         rows: list[list[Any]] = [["simulations alone, in processes", *_plain(study, options.workers), 0.0]]

@@ -17,10 +17,9 @@ import attrs
 import numpy as np
 
 from benchmarks.timing import run_interleaved, time_interleaved
+from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.learning.parallel_rollouts import rollouts
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Grasp, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from validation.command import at_least
 from validation.report import Report
 
 #: The gripper's circle: radius [m] and angular frequency [rad/s]; a speed of 0.3 m/s.
@@ -258,20 +257,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     usual = [part for part in PARTS if part != "soak"]
     parts = f"of {', '.join(PARTS)}; all but soak"
     parser.add_argument("--only", nargs="+", choices=PARTS, default=usual, metavar="PART", help=parts)
-    parser.add_argument("--envs", type=int, default=64, metavar="N", help="cloths of an environment")
-    parser.add_argument("--resolution", type=int, default=30, metavar="N", help="particles a side of a cloth")
-    parser.add_argument("--rollouts", type=int, default=64, metavar="K", help="number of rollouts")
-    parser.add_argument("--rollout-resolution", type=int, default=20, metavar="N", help="particles a side in rollouts")
-    parser.add_argument("--steps", type=int, default=100_000, help="of the soak, over all cloths")
+    parser.add_argument("--envs", type=at_least(2), default=64, metavar="N", help="cloths of an environment")
+    parser.add_argument("--resolution", type=at_least(2), default=30, metavar="N", help="particles a side of a cloth")
+    parser.add_argument("--rollouts", type=at_least(2), default=64, metavar="K", help="number of rollouts")
+    parser.add_argument(
+        "--rollout-resolution", type=at_least(2), default=20, metavar="N", help="particles a side in rollouts"
+    )
+    parser.add_argument("--steps", type=at_least(2), default=100_000, help="of the soak, over all cloths")
     parser.add_argument("--seconds", type=float, default=20.0, help="of timing for each table")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
-    for name in ("envs", "resolution", "rollouts", "rollout_resolution", "steps"):
-        if getattr(options, name) < 2:
-            raise ValueError(f"--{name.replace('_', '-')} is {getattr(options, name)}; it must be at least 2")
-    report = Report("Many cloths", "python -m benchmarks batch")
+    report = Report("Many cloths")
     for part in options.only:
         PARTS[part](options, report)
     return report

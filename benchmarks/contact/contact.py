@@ -21,14 +21,11 @@ import numpy as np
 from support.obstacle_sheets import BORNE, FRAME, SHEET, THICKNESS, Capstan, Motion, sheet, slope
 
 from benchmarks.timing import time_interleaved
+from cloth_sim_ros import Grasp, Scene, Simulation, State, Target
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters import parameter_file
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 from cloth_sim_ros.simulation.script_events import ScriptEvents
-from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table, print_progress
 
 #: Orientation of a sheet that stands on its edge.
@@ -200,15 +197,15 @@ STICTION_MARGIN = 0.1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="what to measure (all)")
-    parser.add_argument("--drift", type=float, default=600.0, metavar="SECONDS", help="on a slope (600)")
-    parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run (6.5)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="that each comparison of costs takes (20)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS], help="what to measure")
+    parser.add_argument("--drift", type=float, default=600.0, metavar="SECONDS", help="on a slope")
+    parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run")
+    parser.add_argument("--seconds", type=float, default=20.0, help="that each comparison of costs takes")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Run the selected parts."""
-    report = Report("Contact", "python -m benchmarks contact")
+    report = Report("Contact")
     for part in options.parts:
         print_progress(f"{part} ...")
         PARTS[part](report, options)

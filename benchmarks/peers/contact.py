@@ -24,6 +24,7 @@ from benchmarks.peers.jobs import Peer, PeerFailed
 from benchmarks.peers.solvers import CONTACT_PEERS, REQUIREMENTS
 from benchmarks.speed.curtain import cores
 from cloth_sim_ros.physics.model.forces.force import Array
+from validation.command import at_least
 from validation.report import Report, Table, print_progress
 
 PRODUCT = "cloth_sim_ros"
@@ -48,7 +49,9 @@ _MIN_RESOLUTION = 8
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--scenes", nargs="+", choices=CONTACT_SCENES, default=[*CONTACT_SCENES], help="which to run")
-    parser.add_argument("--resolution", type=int, default=20, metavar="N", help="particles a side")
+    parser.add_argument(
+        "--resolution", type=at_least(_MIN_RESOLUTION), default=20, metavar="N", help="particles a side"
+    )
     peer_environment.add_arguments(parser, PACKAGES, seconds=60.0)
 
 
@@ -98,16 +101,12 @@ class ContactResult:
 
 def run(options: argparse.Namespace) -> Report:
     """Run the selected scenes and engines."""
-    if not options.seconds > 0.0:
-        raise ValueError(f"--seconds is {options.seconds:g}; it must be above 0")
-    if options.resolution < _MIN_RESOLUTION:
-        raise ValueError(f"--resolution is {options.resolution}; it must be at least {_MIN_RESOLUTION}")
     contact_scenes = [CONTACT_SCENES[name](options.resolution) for name in options.scenes]
     folder = options.environment.expanduser().absolute()
     requirements = {name: PACKAGES[name] for name in options.peers}
     absent = peer_environment.prepare(folder, requirements, print_progress) if requirements else {}
     peers = [peer for peer in CONTACT_PEERS if peer.package in requirements]
-    report = Report("Peers in contact", f"python -m benchmarks peers-contact --resolution {options.resolution}")
+    report = Report("Peers in contact")
     report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
     table, tried = Table("Cloth that touches", COLUMNS), Table("Each step tried", COLUMNS)
     for contact_scene in contact_scenes:

@@ -17,16 +17,15 @@ from benchmarks.peers import jobs as peer_jobs
 from benchmarks.peers.contact_scenes import ContactScene
 from benchmarks.peers.jobs import Attempt, Peer
 from benchmarks.peers.runner import largest_stretch
+from cloth_sim_ros import Grasp, Model, Simulation, Target
 from cloth_sim_ros.physics.contact import self_contact_binding
 from cloth_sim_ros.physics.contact.initial_penetration import find_self_intersection
 from cloth_sim_ros.physics.contact.obstacle_mesh import nearest_points
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
 from cloth_sim_ros.simulation.sleep import wake
 
 #: Stretch of an edge above which a peer's sheet is torn.

@@ -14,6 +14,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from validation.command import above
+
 #: Variables that point another Python to this environment or to a sourced ROS: library and module paths, and the guard
 #: with which the ROS wheels mark a library path that is already set.
 _LEADING_BACK = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
@@ -45,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser, packages: Collection[str], se
     """Declare the options of all comparisons with other engines."""
     parser.add_argument("--peers", nargs="*", choices=packages, default=[*packages], help="which engines besides ours")
     limit = "wall seconds after which a run ends early"
-    parser.add_argument("--seconds", type=float, default=seconds, metavar="S", help=limit)
-    folder_help = "where the peers are installed, from PyPI (%(default)s)"
+    parser.add_argument("--seconds", type=above(0.0), default=seconds, metavar="S", help=limit)
+    folder_help = "where the peers are installed, from PyPI"
     parser.add_argument("--environment", type=Path, metavar="FOLDER", default=default_folder(), help=folder_help)
 
 

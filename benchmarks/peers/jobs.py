@@ -19,9 +19,7 @@ from support.problems import PERIOD, Problem
 from support.raw_sheet import SHEET
 
 from benchmarks.peers import environment as peer_environment
-from cloth_sim_ros.physics.model.forces.drag import Drag
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros import Drag, Gravity, GridSprings
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 
 #: Time for start, compilation and set-up, on top of the time limit of the frames [s].

@@ -19,6 +19,7 @@ from benchmarks.peers import jobs as peer_jobs
 from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
 from benchmarks.peers.solvers import PEERS, REQUIREMENTS
 from benchmarks.speed import curtain as speed_curtain
+from validation.command import above, at_least
 from validation.report import Report, Table, print_progress
 
 #: Smallest speed ratio of the product to the fastest peer, and the N of scene C for which it applies.
@@ -35,11 +36,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", choices=SCENES, default="curtain", help="an edge pinned (C), or two corners (A)")
     sizes = [*speed_curtain.SCORED_FRAMES]
     parser.add_argument("--resolutions", type=int, nargs="+", metavar="N", default=sizes, help="particles a side")
-    parser.add_argument("--duration", type=float, default=1.0, metavar="S", help="simulated seconds of each run")
+    parser.add_argument("--duration", type=above(0.0), default=1.0, metavar="S", help="simulated seconds of each run")
     torn = "an edge longer than this times its rest is torn"
-    parser.add_argument("--stretch", type=float, default=1.5, metavar="TIMES", help=torn)
-    parser.add_argument("--repeats", type=int, default=3, help="timed rounds with every peer at its longest step")
-    parser.add_argument("--peer-threads", type=int, default=1, metavar="N", help="for a peer that can use several")
+    parser.add_argument("--stretch", type=above(1.0), default=1.5, metavar="TIMES", help=torn)
+    parser.add_argument(
+        "--repeats", type=at_least(1), default=3, help="timed rounds with every peer at its longest step"
+    )
+    parser.add_argument(
+        "--peer-threads", type=at_least(1), default=1, metavar="N", help="for a peer that can use several"
+    )
     peer_environment.add_arguments(parser, REQUIREMENTS, seconds=10.0)
 
 
@@ -82,21 +87,15 @@ class SheetComparison:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected sheets and engines."""
-    for name in ("duration", "seconds", "repeats", "peer_threads"):
-        if not getattr(options, name) > 0:
-            option = name.replace("_", "-")
-            raise ValueError(f"--{option} is {getattr(options, name)}; it must be above 0")
     for resolution in options.resolutions:
         # Checked before any expensive run.
         speed_curtain.scored(SCENES[options.scene], resolution)
-    if not options.stretch > 1.0:
-        raise ValueError(f"--stretch is {options.stretch:g}; it must be above 1, the length at rest")
     folder = options.environment.expanduser().absolute()
     requirements = {name: REQUIREMENTS[name] for name in options.peers}
     absent = peer_environment.prepare(folder, requirements, print_progress) if requirements else {}
     peers = [peer for peer in PEERS if peer.package in requirements and peer.package not in absent]
     fields = [measure(options, folder, resolution, peers) for resolution in options.resolutions]
-    report = Report("Peers", f"python -m benchmarks peers --scene {options.scene} --stretch {options.stretch:g}")
+    report = Report("Peers")
     report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
     report.tables += [_throughput(fields), _comparison(fields), _details(fields)]
     _explain(options, peers, fields, report)

@@ -29,6 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from benchmarks.ros.latency import recording_parameters
 from benchmarks.ros.node_process import PATIENCE, NodeProcess, node_process, ros_context
 from benchmarks.ros.probe import CORNER, GripperProbe, stamp_ns
+from validation.command import above
 
 #: Time between two targets [s].
 _BETWEEN = 0.01
@@ -168,15 +169,13 @@ def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--seconds", type=float, default=300.0, help="time in which cycles start (default: 300)")
-    parser.add_argument("--pace", type=float, default=1.0, help="length of a cycle, in 20 s (default: 1)")
+    parser.add_argument("--seconds", type=above(0.0), default=300.0, help="time in which cycles start")
+    parser.add_argument("--pace", type=above(0.0), default=1.0, help="length of a cycle, in 20 s")
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
 
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the figures of some cycles; they are met if no frame was late."""
-    if not (options.seconds > 0.0 and options.pace > 0.0):
-        raise ValueError(f"--seconds is {options.seconds:g} and --pace {options.pace:g}; both must be above 0")
     rate, cycles = 60.0, 0
     with ros_context(), tempfile.TemporaryDirectory() as folder:
         parameters = recording_parameters(resolution=(30, 30), rate=rate, folder=Path(folder))

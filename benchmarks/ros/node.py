@@ -26,8 +26,8 @@ from rclpy.parameter import Parameter
 
 from benchmarks.ros.node_process import NodeProcess, node_process, ros_context
 from benchmarks.ros.probe import Probe
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros import Scene, Simulation
+from validation.command import above, at_least
 
 #: Largest added time per frame [ms].
 GOAL = 0.3
@@ -168,17 +168,14 @@ def measure_sets(values: dict[str, Any], seconds: float, rounds: int) -> dict[st
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("what", choices=("idle", "sets"))
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each interval (default: %(default)s)")
-    parser.add_argument("--settle", type=float, default=4.0, help="of idle: time before (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=3, help="of sets: pairs of intervals (default: %(default)s)")
-    sides = "particles a side (default: 30 for idle, 64 for sets)"
-    parser.add_argument("--resolution", type=int, default=0, help=sides)
+    parser.add_argument("--seconds", type=above(0.0), default=20.0, help="of each interval")
+    parser.add_argument("--settle", type=float, default=4.0, help="of idle: time before")
+    parser.add_argument("--rounds", type=at_least(1), default=3, help="of sets: pairs of intervals")
+    parser.add_argument("--resolution", type=int, default=0, help="particles a side")
 
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the figures; they are met if the node adds at most `GOAL`, or if no change was refused."""
-    if options.seconds <= 0.0 or options.rounds < 1:
-        raise ValueError("--seconds must be above 0, --rounds at least 1")
     resolution = options.resolution or (30 if options.what == "idle" else 64)
     values: dict[str, Any] = {"cloth.resolution": [resolution, resolution]}
     if options.what == "sets":

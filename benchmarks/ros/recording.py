@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure size and work of each setting, and a timer with and without recording."""
-    report = Report("Recording", f"python -m benchmarks recording {options.session}")
+    report = Report("Recording")
     try:
         frames = _frames(_load(options.session))
         with tempfile.TemporaryDirectory(dir=options.folder) as folder:

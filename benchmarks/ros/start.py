@@ -25,6 +25,7 @@ from sensor_msgs.msg import PointCloud2
 
 from benchmarks.ros.node_process import node_process, ros_context
 from benchmarks.ros.probe import Probe
+from validation.command import at_least
 
 #: Time after which an unanswered request is repeated [s].
 _RETRY_PERIOD = 1.0
@@ -93,14 +94,12 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--starts", type=int, default=5, help="starts with the libraries in memory (default: 5)")
+    parser.add_argument("--starts", type=at_least(1), default=5, help="starts with the libraries in memory")
     parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
 
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the times; they are met if the median of the warm starts is below the goal."""
-    if options.starts < 1:
-        raise ValueError(f"--starts is {options.starts}; at least 1 is needed")
     with ros_context():
         first, *warm = (measure_start(index, options.ros) for index in range(options.starts + 1))
     median = float(np.median([start.wall for start in warm]))

@@ -188,10 +188,9 @@ def _wait_until_quiet(received: Callable[[], int], *, enough: int | None = None)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    sides = "particles a side (default: 128 256, 16 and 65 thousand)"
-    parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256], metavar="N", help=sides)
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each (default: 30)")
-    parser.add_argument("--rate", type=float, default=60.0, help="frames a second (default: 60)")
+    parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256], metavar="N", help="particles a side")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of each")
+    parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
     parser.add_argument("--moving", action="store_true", help="a soft cloth that falls, not one at rest")
 
 

@@ -20,6 +20,7 @@ import attrs
 import numpy as np
 
 from benchmarks.ros.node_process import module_process, node_process
+from validation.command import at_least
 
 #: Time for which the viewer records, for the size of a frame [s].
 _RECORDED = 2.0
@@ -82,14 +83,12 @@ def _surface_sizes(path: Path) -> tuple[int, int, int]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--starts", type=int, default=5, help="starts of the viewer (default: 5)")
+    parser.add_argument("--starts", type=at_least(1), default=5, help="starts of the viewer")
     parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
 
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the figures; they are met if the median time is below the goal."""
-    if options.starts < 1:
-        raise ValueError(f"--starts is {options.starts}; at least 1 is needed")
     name = f"viewed_{os.getpid()}"
     with tempfile.TemporaryDirectory() as folder, node_process(["-r", f"__node:={name}", *options.ros]) as node:
         node.wait_for_output("wall time, grippers")

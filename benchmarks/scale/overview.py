@@ -8,7 +8,7 @@ import argparse
 import json
 from typing import Any
 
-from validation.command import run_module
+from validation.command import at_least, run_module
 from validation.report import Report, Table
 
 #: Largest ratio of the time per particle and step to that of a sheet of about 10^4 particles.
@@ -27,18 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="of sheets")
     parser.add_argument("--sizes", type=int, nargs="+", default=[*SIZES], metavar="N", help="particles a side")
     parser.add_argument("--seconds", type=float, default=3.0, help="timing of each sheet [s]")
-    parser.add_argument("--rounds", type=int, default=2, help="processes for each sheet; the fastest counts")
+    parser.add_argument("--rounds", type=at_least(1), default=2, help="processes for each sheet; the fastest counts")
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure all sheets, each in separate processes.
-
-    Raises:
-        ValueError: if there are no rounds.
-    """
-    if options.rounds < 1:
-        raise ValueError(f"--rounds is {options.rounds}; at least 1 is needed")
-    report = Report("From a thousand particles to a million", "python -m benchmarks scale")
+    """Measure all sheets, each in separate processes."""
+    report = Report("From a thousand particles to a million")
     columns = ["sheet", "particles", "build s", "frame ms", "ns a particle and step", "to 10^4"]
     times = Table("Time", columns)
     columns = ["sheet", "particles", "most while built", "most while run", "state", "forces", "tables"]

@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Steps per frame: enough to make the cost per frame negligible at any size.
 STEPS = 40

@@ -22,14 +22,12 @@ from support.problems import PERIOD
 from support.random_meshes import shuffled_mesh
 
 from benchmarks.timing import time_interleaved
+from cloth_sim_ros import Force, Grasp, Model, Plan, Scene, Simulation, Target, compile
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.physics.model.forces.force import Array, Force
-from cloth_sim_ros.physics.model.model import Model
-from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.parameters import parameter_file
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
+from validation.command import above, at_least
 from validation.report import Report, Table, print_progress
 
 #: Scene to which features are added.
@@ -80,21 +78,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--sheets", nargs="+", choices=SHEETS, default=SHEETS, help="kinds of cloth")
     parser.add_argument("--features", nargs="+", choices=FEATURES, default=FEATURES, help="that are paired")
-    parser.add_argument("--resolution", type=int, default=30, metavar="N", help="particles a side")
-    parser.add_argument("--seconds", type=float, default=90.0, help="of timing for each kind of cloth")
+    parser.add_argument("--resolution", type=at_least(4), default=30, metavar="N", help="particles a side")
+    parser.add_argument("--seconds", type=above(0.0), default=90.0, help="of timing for each kind of cloth")
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure all pairs.
-
-    Raises:
-        ValueError: for an option out of range.
-    """
-    if options.resolution < 4:
-        raise ValueError(f"--resolution is {options.resolution}; at least 4 are needed")
-    if not options.seconds > 0:
-        raise ValueError(f"--seconds is {options.seconds}; it must be above 0")
-    report = Report("Costs add up", "python -m benchmarks cost-additivity")
+    """Measure all pairs."""
+    report = Report("Costs add up")
     for sheet in options.sheets:
         add(sheet, measured(sheet, options), report)
     report.note(

@@ -17,11 +17,10 @@ from support.frame_counts import MARKERS, bytes_of_a_frame, calls_of_a_frame, mo
 
 from benchmarks.speed.curtain import cores
 from benchmarks.timing import InterleavedTimes, repeated, time_interleaved
+from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.engine.binding import SUMMARY_NUMBERS, FrameRequest, check, library
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit, steps_for
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report
 
 
@@ -107,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
-    report = Report("Cost of features", "python -m benchmarks feature-cost")
+    report = Report("Cost of features")
     for part in options.only:
         PARTS[part](options, report)
     timing = "candidates are interleaved on one core and timed by processor time"

@@ -24,9 +24,9 @@ from support.reference_kernel import ReferenceKernel, find_compiler
 
 from benchmarks.speed import curtain as speed_curtain
 from benchmarks.timing import repeated, time_interleaved
+from cloth_sim_ros import Plan
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.plan.plan import Plan
 from validation.report import Report
 
 #: Step too short to move anything [s].
@@ -193,7 +193,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
-    report = Report("Speed", "python -m benchmarks speed")
+    report = Report("Speed")
     for part in options.only:
         PARTS[part](options, report)
     report.note(

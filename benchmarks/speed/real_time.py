@@ -19,11 +19,11 @@ import numpy as np
 
 from benchmarks.speed.cost_additivity import DEFAULT_CLOTH
 from benchmarks.speed.curtain import cores
+from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.scene.parameters import parameter_file
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
+from validation.command import at_least
 from validation.report import Report, Table, print_progress
 
 #: Frames before the timed ones, in which the gripper grasps and step control settles.
@@ -64,20 +64,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--moduli", type=float, nargs="+", default=[1e2, 1e3, 1e4, 1e5], help="of stretch [N/m]")
     parser.add_argument("--choices-size", type=int, default=30, metavar="N", help="particles a side, second table")
     parser.add_argument("--choices-moduli", type=float, nargs="*", default=[1e3, 1e5], help="of stretch, second table")
-    parser.add_argument("--frames", type=int, default=20, help="timed frames of each cloth")
+    parser.add_argument("--frames", type=at_least(1), default=20, help="timed frames of each cloth")
     rounds = "runs of each cloth; the fastest counts; fewer of slow ones"
-    parser.add_argument("--rounds", type=int, default=3, help=rounds)
+    parser.add_argument("--rounds", type=at_least(1), default=3, help=rounds)
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure all cloths.
-
-    Raises:
-        ValueError: if there are no frames or no rounds.
-    """
-    if min(options.frames, options.rounds) < 1:
-        raise ValueError("--frames and --rounds must be at least 1")
-    report = Report("Real time by particles and stiffness", "python -m benchmarks real-time")
+    """Measure all cloths."""
+    report = Report("Real time by particles and stiffness")
     factors = Table("Real-time factor, one core", ["particles", *(f"{modulus:g} N/m" for modulus in options.moduli)])
     evaluations = Table("Force evaluations a frame", factors.columns)
     for size in options.sizes:

@@ -17,13 +17,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.model.forces.force import Array, Force
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros import Force, Gravity, Model, PairSprings, compile
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.sheets.bending import bending_terms, grid_hinge_constants
 from cloth_sim_ros.physics.model.sheets.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
-from cloth_sim_ros.physics.plan.plan import compile
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -64,8 +64,7 @@ def halves_of(n_motions: int, seed: int) -> tuple[list[int], list[int]]:
 def run(options: argparse.Namespace) -> Report:
     """Fit the plain model to motions of other ones."""
     n_fits = options.linear or 10
-    command = f"python -m validation reality --part models --linear {n_fits} --motions {options.motions}"
-    report = Report("Motions of a cloth that the fitted model lacks", command)
+    report = Report("Motions of a cloth that the fitted model lacks")
     columns = ["the model lacks", "held out mm", "rigid mm", "floor mm", "misfit stated", "misfit mm"]
     table = report.add_table(f"{n_fits} linear fits to half of {options.motions} motions", [*columns, "halves agree"])
     truths = report.add_table("Intervals that hold the true value", ["the model lacks", *samples.TRUTH, "all"])

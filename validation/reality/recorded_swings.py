@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cloth_sim_ros import Scene
 from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel
 from cloth_sim_ros.fit.bag import read_recording
 from cloth_sim_ros.fit.hypotheses import pivot_of, selections
@@ -31,7 +32,6 @@ from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, print_progress
 
 #: Topics of the clouds and of the arm's tool.
@@ -155,7 +155,7 @@ class _Evaluation:
 
 def run(options: argparse.Namespace) -> Report:
     """Compare the defaults, a fit to some motions, and a rigid cloth with recordings."""
-    report = Report("Recorded swings of a real cloth", "python -m validation reality --part recorded --folder FOLDER")
+    report = Report("Recorded swings of a real cloth")
     if options.folder is None:
         report.notes.append("skipped: --folder names no recordings (Alados5/tfm_matlab, Session_2021_07_05)")
         return report

@@ -15,13 +15,11 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros import Grasp, Scene, SetParameters, Simulation, State, Target
 from cloth_sim_ros.fit.alignment import rotation_of
 from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
 
 #: Number of this set of motions. The fit was developed on set 39. This set was drawn afterwards, and stays as it is.
 SET = 53

@@ -13,15 +13,18 @@ import numpy as np
 from support.garment import as_obj
 from support.problems import irregular_sheet
 
-from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.model import Model
-from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, SetParameters
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros import (
+    GridSprings,
+    Leapfrog,
+    Model,
+    PairSprings,
+    Scene,
+    SetParameters,
+    Simulation,
+    State,
+    UnstableError,
+)
+from cloth_sim_ros.simulation.events import Event
 from validation.stability.energy_account import EnergyAccount
 from validation.stability.limits import max_stretch
 from validation.stability.stress_cases import CONTACT_STRESS_CASES, STRESS_CASES, StressFrame

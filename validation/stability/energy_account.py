@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from cloth_sim_ros import Simulation
 from cloth_sim_ros.physics.control.energy import leapfrog_energy
-from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class EnergyAccount:

@@ -10,10 +10,8 @@ import math
 import numpy as np
 from support.raw_sheet import RawSheet
 
-from cloth_sim_ros.physics.control.leapfrog import Leapfrog
+from cloth_sim_ros import Leapfrog, Plan, State
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.state import State
 from validation.report import Table
 
 #: Largest relative excess of a measured limit over its bound; a limit below its bound is a failure.

@@ -25,11 +25,11 @@ _N_SLOWEST = 10
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="parts to run (all)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="parts to run")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case of the scan only")
     parser.add_argument("--random", type=int, default=0, metavar="N", help="run N random cases instead of the scan")
     parser.add_argument("--contact", type=int, default=0, metavar="N", help="run N random contact stress cases instead")
-    parser.add_argument("--seed", type=int, default=1, help="seed of random cases (1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of random cases")
     parser.add_argument("--only", type=int, metavar="N", help="run the first N of these cases only")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     limit = "wall time limit of a case of the scan"
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Run the selected parts."""
-    report = Report("Stability", "python -m validation stability")
+    report = Report("Stability")
     if "scan" in options.parts:
         candidates = random_cases(options.seed, options.random) if options.random else all_cases()
         if options.contact:

@@ -13,8 +13,9 @@ from typing import Any
 import attrs
 import numpy as np
 
+from cloth_sim_ros import Grasp, Move, SetParameters, Target
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target
+from cloth_sim_ros.simulation.events import Event
 
 #: Speed of a gripper that is yanked away [m/s].
 YANK_SPEED = 10.0

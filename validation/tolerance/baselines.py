@@ -17,15 +17,11 @@ from scipy.integrate import solve_ivp
 from support.problems import PERIOD, Problem
 from support.reference import RightSide
 
+from cloth_sim_ros import Drag, GridSprings, Model, Plan, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.integrators.base import Integrator
-from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan import thread_limit
-from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.state import State
 
 
 class SolverTimeoutError(RuntimeError):

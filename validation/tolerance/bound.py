@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from validation.case_pool import CasePool
+from validation.command import above, at_least
 from validation.report import Report, Table
 from validation.tolerance.climb import FAMILIES as CLIMB_FAMILIES
 from validation.tolerance.climb import climb_command
@@ -47,18 +48,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mode.add_argument("--replay", type=Path, metavar="FILE", help=replay)
     only = "evaluate this scene of the seed only, window by window"
     mode.add_argument("--only", type=int, metavar="INDEX", help=only)
-    parser.add_argument("--seed", type=int, default=1, help="seed of the scenes (1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the scenes")
     count = "number of evaluated scenes (40), not counting draws beyond the cap"
-    parser.add_argument("--count", type=int, default=40, help=count)
-    windows = "windows of one second per scene, besides the whole run (4)"
-    parser.add_argument("--windows", type=int, default=4, help=windows)
-    cap = f"largest estimated cost of a scene ({MAX_COST:g})"
+    parser.add_argument("--count", type=at_least(1), default=40, help=count)
+    windows = "windows of one second per scene, besides the whole run"
+    parser.add_argument("--windows", type=at_least(1), default=4, help=windows)
+    cap = "largest estimated cost of a scene"
     parser.add_argument("--cap", type=float, default=MAX_COST, metavar="WORK", help=cap)
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one per core)")
+    parser.add_argument("--jobs", type=at_least(1), default=len(os.sched_getaffinity(0)), help="processes")
     resume = "append each result to this file, and run only scenes without one"
     parser.add_argument("--resume", type=Path, metavar="FILE", help=resume)
-    parser.add_argument("--climbs", type=int, default=200, help="number of climbs (200)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="processor time of a climb [s] (60)")
+    parser.add_argument("--climbs", type=at_least(1), default=200, help="number of climbs")
+    parser.add_argument("--seconds", type=above(0.0), default=60.0, help="processor time of a climb [s]")
     families = f"families of scenes to climb over, in turn (all): {', '.join(CLIMB_FAMILIES)}"
     parser.add_argument("--family", nargs="+", choices=CLIMB_FAMILIES, metavar="FAMILY", help=families)
     limit = "wall time limit of a scene; a scene that takes longer fails"
@@ -67,8 +68,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Evaluate the selected scenes."""
-    if min(options.count, options.windows, options.jobs, options.climbs) < 1 or not options.seconds > 0.0:
-        raise ValueError("--count, --windows, --jobs and --climbs must be at least 1, --seconds above 0")
     if options.regimes:
         from validation.tolerance.regimes import regimes
 
@@ -88,7 +87,7 @@ def run(options: argparse.Namespace) -> Report:
 
 def _evaluate_single(options: argparse.Namespace) -> Report:
     evaluation = evaluate_scene(options.seed, options.only, options.windows)
-    report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --only {options.only}")
+    report = Report("Error bound")
     report.tables.append(_scenes([evaluation]))
     table = _windows("Windows", [evaluation], min_ratio=0.0)
     report.tables.append(table)
@@ -100,16 +99,15 @@ def _evaluate_single(options: argparse.Namespace) -> Report:
 
 
 def _evaluate_contact(options: argparse.Namespace) -> Report:
-    command = f"python -m validation tolerance --contact --seed {options.seed} --count {options.count}"
     cases = [(options.seed, index, options.windows) for index in range(options.count)]
-    report = Report("Error bound with contact", command)
+    report = Report("Error bound with contact")
     _add_evaluations(_evaluate_contact_case, cases, options, report)
     return report
 
 
 def _evaluate_random(options: argparse.Namespace) -> Report:
     cases, beyond = select_cases(options)
-    report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --count {options.count}")
+    report = Report("Error bound")
     report.note(f"{len(beyond)} draws beyond the cap: {_join_numbers(beyond)}")
     _add_evaluations(evaluate_case, cases, options, report)
     return report

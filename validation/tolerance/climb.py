@@ -184,9 +184,7 @@ def _climb(options: argparse.Namespace) -> Report:
         )
         for index in range(options.climbs)
     ]
-    command = f"python -m validation tolerance --climb --climbs {options.climbs} --seconds {options.seconds:g}"
-    command += f" --seed {options.seed}" + (f" --family {' '.join(families)}" if options.family else "")
-    report = Report("Search for violations of the error bound", command)
+    report = Report("Search for violations of the error bound")
     results = CasePool(options.jobs, _LOAD * (options.seconds + _LAST_SCENE), options.resume).report(
         run_climb,
         cases,
@@ -222,7 +220,7 @@ def _climb(options: argparse.Namespace) -> Report:
 
 def _replay(file: Path) -> Report:
     """Evaluate the best scene of each climb of a file again."""
-    report = Report("Replay of a search", f"python -m validation tolerance --replay {file}")
+    report = Report("Replay of a search")
     columns = ["climb", "family", "ratio", "recorded ratio", "tolerance m", "g", "error m", "flagged windows", "what"]
     table = report.add_table("Scenes of the largest error ratios", columns)
     for done in read_results(file, _KINDS):

@@ -15,15 +15,9 @@ import attrs
 import numpy as np
 from support.random_meshes import drawn_alike, outline_with_a_hole
 
-from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros import Advance, Drag, Gravity, Model, PairSprings, Scene, State, simulate
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.model import Model
-from cloth_sim_ros.physics.simulate import MAX_ADVANCE, simulate
-from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.physics.simulate import MAX_ADVANCE
 from validation.tolerance.compiled_reference import ReferenceFailureError
 from validation.tolerance.contact import (
     FINE,

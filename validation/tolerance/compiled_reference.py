@@ -21,24 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 from support.reference_kernel import compiled, find_compiler
 
+from cloth_sim_ros import (
+    AddedMass,
+    AirPanels,
+    AltitudeSprings,
+    BendingFriction,
+    CrossedSprings,
+    Drag,
+    Gravity,
+    GridSprings,
+    Grips,
+    MembraneTriangles,
+    Model,
+    PairSprings,
+    QuadraticHinges,
+    Wind,
+)
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
-from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.model.forces.bending_friction import BendingFriction
 from cloth_sim_ros.physics.model.forces.couplings import Couplings
-from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
-from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.forces.quadratic import QuadraticHinges
-from cloth_sim_ros.physics.model.forces.wind import Wind
-from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import ElementList
 
 #: Trajectories side by side: the solution and `LANES` - 1 perturbed ones.

@@ -17,12 +17,9 @@ from typing import Any
 import attrs
 import numpy as np
 
+from cloth_sim_ros import Advance, Scene, Simulation, State, UnstableError
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
-from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, ReferenceMotion, SimulatedFrame
 from validation.tolerance.random_scenes import fabric_bending, fabric_membrane, law_words, log_uniform, smooth_field

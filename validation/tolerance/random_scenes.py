@@ -14,13 +14,11 @@ import attrs
 import numpy as np
 from support.random_meshes import drawn_alike, random_mesh
 
+from cloth_sim_ros import Grasp, Scene, Simulation, State, Target
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import normalized, quaternion_product
-from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters.declare import ParameterError
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
 from validation.tolerance.compiled_reference import ReferenceSystem
 
 ACTIONS = ("carry", "turn", "jump", "hold", "swing")

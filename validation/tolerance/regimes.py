@@ -16,14 +16,9 @@ from typing import Any
 import attrs
 import numpy as np
 
+from cloth_sim_ros import Drag, Gravity, Model, PairSprings, Scene, Wind
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
-from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.forces.wind import Wind
-from cloth_sim_ros.physics.model.model import Model
-from cloth_sim_ros.scene.scene import Scene
 from validation.case_pool import CasePool
 from validation.report import Report, Table
 from validation.tolerance.random_scenes import RandomScene
@@ -345,7 +340,7 @@ def _evaluate_pendulum(run: RecordedRun, tolerance: float, flagged: int) -> Regi
 
 def regimes(options: argparse.Namespace) -> Report:
     """Evaluate all regimes."""
-    report = Report("Error bound in fixed regimes", "python -m validation tolerance --regimes")
+    report = Report("Error bound in fixed regimes")
     cases = [(regime, tolerance) for regime in all_regimes() for tolerance in TOLERANCES]
     cases += [(regime, tolerance) for regime in pendulums() for tolerance in PENDULUM_TOLERANCES]
     done = CasePool(options.jobs, options.limit).report(

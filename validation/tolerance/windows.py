@@ -16,12 +16,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros import Advance, SetParameters, Simulation, UnstableError
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
-from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
-from cloth_sim_ros.simulation.events import SetParameters
-from cloth_sim_ros.simulation.simulation import Simulation
 from validation.tolerance.compiled_reference import (
     LANES,
     PERTURBATION,

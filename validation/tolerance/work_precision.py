@@ -13,8 +13,8 @@ from support.problems import MORE_PROBLEMS, PROBLEMS, Problem, problem
 from support.reference import Reference, reference
 from support.reference_runs import measure
 
+from cloth_sim_ros import Scene
 from cloth_sim_ros.physics.plan import thread_limit
-from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table
 from validation.tolerance.baselines import SolverSetting, SolverTimeoutError, library_solvers, product_solvers
 from validation.tolerance.sweep import MAX_RESIDUAL
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> Report:
         )
         for solver, solver_run in first_runs.items()
     ]
-    report = Report(f"Work-precision on {scene.name}", f"python -m validation work-precision --scene {scene.name}")
+    report = Report(f"Work-precision on {scene.name}")
     reference_error = f"the reference's own error is {scene_reference.error:.1g} m"
     report.note(f"{scene.description}; errors at {scene.duration:g} s; {reference_error}")
     report.notes += timeouts
