@@ -230,21 +230,18 @@ def evaluate_contact(seed: int, index: int, windows: int) -> SceneEvaluation:
             evaluated.append(evaluate_contact_window(run, first, second, rng))
         except ArithmeticError as error:
             unknown.append(f"window at {first}: {error}")
-    return SceneEvaluation(
+    return SceneEvaluation.of(
+        run.advances,
+        run.seconds,
         seed=seed,
         index=index,
         words=draw.words,
         tolerance=draw.scene.tolerance,
         particles=draw.state.particle_count,
-        frames=count,
         period=draw.scene.period,
         cost=0.0,
         windows=tuple(evaluated),
         whole=None,
-        flagged_frames=sum(advance.flagged > 0 for advance in run.advances),
-        evaluations=sum(advance.evaluations for advance in run.advances),
-        seconds=sum(run.seconds),
-        longest_frame=max(run.seconds, default=0.0),
         mismatch=0.0,
         trouble=run.trouble,
         unknown=tuple(unknown),

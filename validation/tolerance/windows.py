@@ -273,6 +273,18 @@ class SceneEvaluation:
     #: Windows that the reference can't follow, and the reasons.
     unknown: tuple[str, ...]
 
+    @classmethod
+    def of(cls, advances: Sequence[Advance], seconds: Sequence[float], **values: Any) -> SceneEvaluation:
+        """Return an evaluation with the step statistics and wall times [s] of its frames and further values."""
+        return cls(
+            frames=len(advances),
+            flagged_frames=sum(advance.flagged > 0 for advance in advances),
+            evaluations=sum(advance.evaluations for advance in advances),
+            seconds=sum(seconds),
+            longest_frame=max(seconds, default=0.0),
+            **values,
+        )
+
     def worst(self, *, flagged: bool) -> Window | None:
         """Return the window with the largest error ratio among those with, or without, flagged frames."""
         chosen = [window for window in self.windows if window.is_known and bool(window.flagged) == flagged]
@@ -301,8 +313,7 @@ def evaluate_scene(seed: int, index: int, windows: int) -> SceneEvaluation:
     run = record_run(scene)
     frames_per_second = scene.frames_per_second
     evaluated, unknown = list[Window](), list[str]()
-    whole, trouble = None, run.trouble
-    count = len(run.frames)
+    whole, count = None, len(run.frames)
     if not run.mismatch > MAX_FORCE_MISMATCH:
         for start in [0, *window_starts(run, windows)] if count >= frames_per_second else []:
             try:
@@ -312,23 +323,20 @@ def evaluate_scene(seed: int, index: int, windows: int) -> SceneEvaluation:
                 whole = whole_window or whole
             except ReferenceFailureError as error:
                 unknown.append(f"window at {start}: {error}")
-    return SceneEvaluation(
+    return SceneEvaluation.of(
+        [frame.advance for frame in run.frames],
+        [frame.seconds for frame in run.frames],
         seed=seed,
         index=index,
         words=scene.words,
         tolerance=scene.scene.tolerance,
         particles=run.system.model.particle_count,
-        frames=count,
         period=run.period,
         cost=scene.cost,
         windows=tuple(evaluated),
         whole=whole,
-        flagged_frames=sum(frame.advance.flagged > 0 for frame in run.frames),
-        evaluations=sum(frame.advance.evaluations for frame in run.frames),
-        seconds=sum(frame.seconds for frame in run.frames),
-        longest_frame=max((frame.seconds for frame in run.frames), default=0.0),
         mismatch=run.mismatch,
-        trouble=trouble,
+        trouble=run.trouble,
         unknown=tuple(unknown),
     )
 
