@@ -24,7 +24,6 @@ COMMANDS = {
     "studies": ("benchmarks.batch.studies", "cloth_batch beside plain simulations, and Dask's cost per task"),
     "ros-camera": ("benchmarks.ros.camera", "processor time of a depth camera's image and messages"),
     "ros-latency": ("benchmarks.ros.latency", "time from a target to the cloud that shows it"),
-    "ros-live": ("benchmarks.ros.live", "late frames of a live cloth that is carried, swung and released"),
     "ros-node": ("benchmarks.ros.node", "processor time that the node adds to a frame"),
     "ros-start": ("benchmarks.ros.start", "time from the start of the node to its first cloud"),
     "ros-viewer": ("benchmarks.ros.viewer", "time from the start of the viewer to its first surface; size of a frame"),

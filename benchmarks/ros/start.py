@@ -19,8 +19,7 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-from benchmarks.ros.node_process import node_process, ros_context
-from benchmarks.ros.probe import Probe
+from benchmarks.ros.node_process import Probe, node_process, ros_context
 from validation.command import at_least
 
 #: Largest start-up time with the libraries in memory [s].

@@ -168,7 +168,7 @@ def _window_rows(evaluations: list[SceneEvaluation], min_ratio: float) -> list[l
         for window in [*evaluation.windows, *([evaluation.whole] if evaluation.whole else [])]:
             if not min_ratio or (window.is_known and window.ratio >= min_ratio):
                 times = window.first * evaluation.period, window.frames * evaluation.period
-                row = [evaluation.index, *times, window.error, evaluation.tolerance, window.amplification]
+                row: list[Any] = [evaluation.index, *times, window.error, evaluation.tolerance, window.amplification]
                 row += [window.later_amplification or "-", window.ratio if window.is_known else "unknown"]
                 row += [window.reference_error, window.flagged, window.asleep, window.frames, window.evaluations]
                 rows.append([*row, window.reference_evaluations, window.limited_by])

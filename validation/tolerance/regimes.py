@@ -115,12 +115,6 @@ class LinearMotion:
         return largest
 
 
-def exact_positions(model: Model, x: Array, v: Array, period: float, frames: int) -> list[Array]:
-    """Return positions (3, n) [m] at the end of each frame of a linear system."""
-    motion = LinearMotion(model, x, v)
-    return [motion.advance(period) for _ in range(frames)]
-
-
 TOLERANCES = tuple(10.0**-k for k in range(3, 11))
 PENDULUM_TOLERANCES = (1e-3, 1e-5, 1e-7)
 #: Simulated time of springs and chains, and of pendulums [s].
@@ -304,15 +298,13 @@ def evaluate_regime(case: tuple[Regime, float]) -> RegimeResult:
     if regime.duration == PENDULUM_DURATION:
         return _evaluate_pendulum(run, tolerance, flagged)
     frames_per_second = run.draw.frames_per_second
-    windows: list[Window] = []
-    reference = 0.0
+    windows, reference = list[Window](), 0.0
     for first in (0, frames_per_second // 2, frames_per_second):
         window = evaluate_window(run, first, frames_per_second, seed=first)[0]
         if regime.linear:
-            start = run.positions[first], run.velocities[first]
-            exact_window = exact_positions(run.system.model, *start, run.period, frames_per_second)
+            motion = LinearMotion(run.system.model, run.positions[first], run.velocities[first])
             engine_positions = run.positions[first + 1 : first + 1 + frames_per_second]
-            error = max(largest_distance(a, b) for a, b in zip(engine_positions, exact_window, strict=True))
+            error = max(largest_distance(x, motion.advance(run.period)) for x in engine_positions)
             reference = max(reference, abs(error - window.error))
             window = attrs.evolve(window, error=error)
         reference = max(reference, window.reference_error)
