@@ -133,20 +133,15 @@ def _make(folder: Path, on_message: Callable[[str], None]) -> None:
 
 def _installed(folder: Path) -> dict[str, str]:
     """Return the versions of installed packages, by lower-case name."""
-    script = (
-        "import importlib.metadata as m, json; "
-        "print(json.dumps({d.metadata['Name'].lower(): d.version for d in m.distributions()}))"
-    )
     try:
-        done = _run([str(python_of(folder)), "-I", "-c", script])
+        done = _run([str(python_of(folder)), "-I", "-m", "pip", "list", "--format", "json"])
         reason = last_line(done.stderr) if done.returncode else ""
     except OSError as error:
         reason = str(error)
     if reason:
         remedy = "remove the folder; the next run creates it again"
         raise EnvironmentUnusable(f"the Python in {folder} does not run: {reason}; {remedy}")
-    versions: dict[str, str] = json.loads(done.stdout)
-    return versions
+    return {package["name"].lower(): package["version"] for package in json.loads(done.stdout)}
 
 
 def _install(folder: Path, packages: tuple[str, ...]) -> str:

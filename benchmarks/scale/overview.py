@@ -44,8 +44,8 @@ def run(options: argparse.Namespace) -> Report:
             continue
         reference = min(sheets, key=lambda sheet: abs(sheet["particles"] - 1e4))
         for sheet in sheets:
-            ratio = sheet["least_ns"] / reference["least_ns"]
-            row = [kind, sheet["particles"], sheet["build_s"], 1e3 * sheet["least_frame_s"], sheet["least_ns"], ratio]
+            ratio = sheet["ns"] / reference["ns"]
+            row = [kind, sheet["particles"], sheet["build_s"], 1e3 * sheet["frame_s"], sheet["ns"], ratio]
             times.rows.append(row)
             sizes = [sheet[f"{quantity}_bytes"] for quantity in ("build_peak", "peak", "state", "force", "table")]
             share = sizes[1] / sum(sizes[2:])
@@ -70,7 +70,5 @@ def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict
                 report.fail(f"{kind}, {size} a side, could not be run: {last}")
                 continue
             figures = json.loads(done.stdout.splitlines()[-1])
-            before = best.get(size)
-            if before is None or figures["ns"] < before["ns"]:
-                best[size] = figures | {"least_ns": figures["ns"], "least_frame_s": figures["frame_s"]}
+            best[size] = min(figures, best.get(size, figures), key=lambda sheet: sheet["ns"])
     return [best[size] for size in sorted(best)]

@@ -16,7 +16,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-import attrs
 import numpy as np
 from support.problems import PERIOD, curtain
 from support.raw_sheet import RawSheet
@@ -33,62 +32,32 @@ from validation.report import Report
 _STILL = 1e-9
 #: Smallest difference in steps of the two runs whose time difference gives a step's time.
 _MIN_STEPS = 40
+#: Steps of the shorter one.
+_FEW_STEPS = 20
 #: Particles times steps in one turn of a candidate: a few milliseconds.
 _UPDATES_A_TURN = 1_000_000
 #: Step as a share of the stability limit in the runs whose bits are compared.
 _SHARE = 0.9
 
 
-@attrs.frozen(kw_only=True)
-class KernelTime:
-    """Nanoseconds per spring, medians.
-
-    `c` is one force evaluation of the C kernel; None without a C compiler. `step` is a whole step of the engine,
-    without the cost per run. `ratio` is step to C, the median over rounds. `accelerations` is a separate evaluation
-    that includes a copy of the state; None in single precision, which lacks it.
-    """
-
-    resolution: int
-    precision: str
-    c: float | None
-    accelerations: float | None
-    ratio: float | None
-    step: float
+#: Columns of times per spring. `C forces` is one evaluation of the C kernel, `whole step` a step of the engine without
+#: the cost per run, `to C` their ratio, the median over rounds.
+KERNEL_COLUMNS = ["N", "precision", "C forces", "whole step", "to C"]
+#: Columns of the gain of a second thread in a frame of 1/60 s. `two sheets apart` is the gain in throughput of two
+#: independent sheets on two threads over one sheet on one thread.
+THREAD_COLUMNS = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"]
 
 
-@attrs.frozen(kw_only=True)
-class ThreadGain:
-    """Gain of a second thread in a frame of 1/60 s.
-
-    `same_bits` tells if both give the same bits. `most` is the gain in throughput of two independent sheets on two
-    threads over one sheet on one thread.
-    """
-
-    resolution: int
-    precision: str
-    steps: int
-    one_thread: float
-    two_threads: float
-    gain: float
-    most: float
-    same_bits: bool
-
-
-def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: float) -> KernelTime:
-    """Time the engine on one core, on a sheet of `resolution` x `resolution` particles, for about `seconds`."""
+def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: float) -> list[Any]:
+    """Time the engine on one core, on a sheet of `resolution` x `resolution` particles; return `KERNEL_COLUMNS`."""
     sheet = RawSheet(resolution=resolution, drag=1.0)
     plan, (x, v) = sheet.plan(sheet.index[0]), _start(sheet)
     single = np.dtype(dtype) == np.float32
     steps = max(_UPDATES_A_TURN // resolution**2, _MIN_STEPS)
-    short_steps = 20
-    out = np.empty_like(x)
-
-    lengths = {"few": short_steps, "many": short_steps + steps}
+    lengths = {"few": _FEW_STEPS, "many": _FEW_STEPS + steps}
     candidates: dict[str, Callable[[], object]] = {
         name: steps_runner(plan, (x, v), count, single_precision=single) for name, count in lengths.items()
     }
-    if not single:
-        candidates["accelerations"] = repeated(lambda: plan.accelerations(0.0, x, v, out), steps)
     if compiler is not None:
         kernel = ReferenceKernel(sheet.sheet(), dtype, compiler=compiler)
         kernel.set_state(x, v)
@@ -96,22 +65,16 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
     turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
     unit = 1e9 / (steps * len(sheet.sheet().pairs))
     whole = turns.differences("many", "few")
-    ratio = None
+    step = unit * statistics.median(whole)
+    c_cells: list[Any] = ["-", "-"]
     if compiler is not None:
         pairs = zip(whole, turns.seconds["c"], strict=True)
-        ratio = statistics.median(engine_time / c_time for engine_time, c_time in pairs)
-    return KernelTime(
-        resolution=resolution,
-        precision=np.dtype(dtype).name,
-        c=unit * turns.median("c") if compiler else None,
-        accelerations=None if single else unit * turns.median("accelerations"),
-        ratio=ratio,
-        step=unit * statistics.median(whole),
-    )
+        c_cells = [unit * turns.median("c"), statistics.median(engine / c for engine, c in pairs)]
+    return [resolution, np.dtype(dtype).name, c_cells[0], step, c_cells[1]]
 
 
-def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
-    """Time frames of scene C with stable steps on one thread and on two, for about `seconds`.
+def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> list[Any]:
+    """Time frames of scene C with stable steps on one thread and on two; return `THREAD_COLUMNS`.
 
     Each call includes the start of the second thread.
     """
@@ -138,29 +101,16 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
 
         runs = {"1": repeat(plan, 1), "2": repeat(plan, 2), "apart": apart}
         turns = time_interleaved(runs, seconds=seconds)
-    return ThreadGain(
-        resolution=resolution,
-        precision=np.dtype(dtype).name,
-        steps=steps,
-        one_thread=turns.median("1") / frames,
-        two_threads=turns.median("2") / frames,
-        gain=turns.ratio("1", "2"),
-        most=2.0 * turns.ratio("1", "apart"),
-        same_bits=ends[0] == ends[1],
-    )
+    times = [1e3 * turns.median(name) / frames for name in ("1", "2")]
+    gains = [turns.ratio("1", "2"), 2.0 * turns.ratio("1", "apart")]
+    return [resolution, np.dtype(dtype).name, steps, *times, *gains, "yes" if ends[0] == ends[1] else "no"]
 
 
 def steps_runner(
-    plan: Plan,
-    start: tuple[Array, Array],
-    steps: int,
-    *,
-    t: float = 0.0,
-    single_precision: bool = False,
-    threads: int = 1,
+    plan: Plan, start: tuple[Array, Array], steps: int, *, single_precision: bool, threads: int = 1
 ) -> Callable[[], object]:
     """Return a function that takes a number of steps of negligible duration, which cost as much as others."""
-    return partial(plan.runs, t, steps * _STILL, start, [steps], single_precision=single_precision, threads=threads)
+    return partial(plan.runs, 0.0, steps * _STILL, start, [steps], single_precision=single_precision, threads=threads)
 
 
 def _start(sheet: RawSheet) -> tuple[Array, Array]:
@@ -207,17 +157,14 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
     compiler = find_compiler()
     if compiler is None:
         report.note("no C compiler here ($CC, cc, gcc, clang): the engine is timed without a comparison")
-    columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
-    table = report.add_table("Nanoseconds per spring, one core", columns)
+    table = report.add_table("Nanoseconds per spring, one core", KERNEL_COLUMNS)
     for dtype in (np.float32, np.float64):
         for resolution in options.kernels:
             row = kernel_time(resolution, dtype, compiler=compiler, seconds=options.seconds)
-            known = ["-", row.step, "-"] if row.c is None else [row.c, row.step, row.ratio]
-            alone = "-" if row.accelerations is None else row.accelerations
-            table.rows.append([resolution, row.precision, *known, alone])
-            if row.ratio is not None and row.ratio > MAX_KERNEL_RATIO:
-                target = f"target {MAX_KERNEL_RATIO:g}"
-                report.fail(f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; {target}")
+            table.rows.append(row)
+            if compiler is not None and row[-1] > MAX_KERNEL_RATIO:
+                target = f"{row[-1]:.2f} times C; target {MAX_KERNEL_RATIO:g}"
+                report.fail(f"a step at N = {resolution}, {row[1]}: {target}")
 
 
 def _curtains(options: argparse.Namespace, report: Report) -> None:
@@ -246,17 +193,15 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
     if len(os.sched_getaffinity(0)) < 2:
         report.note("one core alone is allowed here: two threads are not timed")
         return
-    columns = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"]
-    table = report.add_table("A frame of 1/60 s on two threads against one", columns)
+    table = report.add_table("A frame of 1/60 s on two threads against one", THREAD_COLUMNS)
     for dtype in (np.float32, np.float64):
         for resolution in options.threads:
             row = thread_gain(resolution, dtype, seconds=options.seconds)
-            cells = [resolution, row.precision, row.steps, 1e3 * row.one_thread, 1e3 * row.two_threads]
-            table.rows.append([*cells, row.gain, row.most, "yes" if row.same_bits else "no"])
-            where = f"two threads at N = {resolution}, {row.precision}"
-            report.require(row.same_bits, f"{where}: other bits than one thread")
-            if resolution >= THREADS_FROM and row.gain < MIN_THREAD_GAIN:
-                report.fail(f"{where}: {row.gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {row.most:.2f})")
+            table.rows.append(row)
+            (gain, most, same_bits), where = row[-3:], f"two threads at N = {resolution}, {row[1]}"
+            report.require(same_bits == "yes", f"{where}: other bits than one thread")
+            if resolution >= THREADS_FROM and gain < MIN_THREAD_GAIN:
+                report.fail(f"{where}: {gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {most:.2f})")
     report.note(
         "two sheets apart: gain in throughput of two independent sheets on two threads over one sheet on one thread, "
         "the limit of the machine"

@@ -79,9 +79,9 @@ def run(options: argparse.Namespace) -> Report:
         period = Scene.from_parameters(_values(size, options.moduli[0])).period
         factors.rows.append([f"{size} x {size}", *(period / cost.seconds for cost in costs)])
         evaluations.rows.append([f"{size} x {size}", *(cost.evaluations for cost in costs)])
-        columns = ["stretch N/m", "integrator", "tolerance m", "frame ms", "evaluations", "estimate m", "flagged"]
-        columns += ["stepped", "limit"]
-        choices = Table(f"Tolerance and integrator, {options.choices_size} x {options.choices_size}", columns)
+    columns = ["stretch N/m", "integrator", "tolerance m", "frame ms", "evaluations", "estimate m", "flagged"]
+    columns += ["stepped", "limit"]
+    choices = Table(f"Tolerance and integrator, {options.choices_size} x {options.choices_size}", columns)
     for modulus in options.choices_moduli:
         for integrator, tolerance in CHOICES:
             values = _values(options.choices_size, modulus) | {"integrator": integrator}

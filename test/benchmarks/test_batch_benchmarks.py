@@ -32,7 +32,7 @@ def test_batch_command_reports_missed_targets(capsys, monkeypatch):
 def test_batch_command_refuses_a_single_cloth(capsys):
     with pytest.raises(SystemExit):
         main([*SMALL, "--envs", "1"])
-    assert "--envs is 1; it must be at least 2" in capsys.readouterr().err
+    assert "--envs: 1; it must be an integer of at least 2" in capsys.readouterr().err
 
 
 def test_carried_cloths_are_awake_and_grasped():

@@ -346,7 +346,7 @@ def test_report_compares_with_the_fastest_peer(
 def test_numbers_must_be_above_zero(option: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit):
         main(["peers", option, "0"])
-    assert f"{option} is 0" in capsys.readouterr().err
+    assert f"{option}: 0; it must be" in capsys.readouterr().err
 
 
 def test_torn_threshold_is_configurable(stand_in: Peer, sheet: Path, environment: Path) -> None:

@@ -454,7 +454,10 @@ def test_without_peers_nothing_is_installed(
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [(["--seconds", "0"], "--seconds is 0"), (["--resolution", "7"], "--resolution is 7; it must be at least 8")],
+    [
+        (["--seconds", "0"], "--seconds: 0; it must be above 0"),
+        (["--resolution", "7"], "--resolution: 7; it must be an integer of at least 8"),
+    ],
 )
 def test_numbers_out_of_range_are_refused(options: list[str], said: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit):
