@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from support.problems import PERIOD
 
-from benchmarks.peers.jobs import thread_edges
+from benchmarks.peers.environment import thread_edges
 from cloth_sim_ros import Scene
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array

@@ -15,8 +15,7 @@ import numpy as np
 from support.problems import PERIOD, corner_drop, curtain
 
 from benchmarks.peers import environment as peer_environment
-from benchmarks.peers import jobs as peer_jobs
-from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
+from benchmarks.peers.environment import Attempt, Peer, PeerFailed
 from benchmarks.peers.solvers import PEERS, REQUIREMENTS
 from benchmarks.speed import curtain as speed_curtain
 from validation.command import above, at_least
@@ -112,10 +111,10 @@ def compare(
     longest: dict[Peer, EngineRuns] = {}
     with tempfile.TemporaryDirectory() as temporary:
         sheet = Path(temporary, "sheet.npz")
-        np.savez(sheet, **peer_jobs.sheet_tables(whole))
+        np.savez(sheet, **peer_environment.sheet_tables(whole))
 
         def attempt(peer: Peer, steps: int, share: float = 1.0) -> Attempt:
-            return peer_jobs.attempt(
+            return peer_environment.attempt(
                 peer,
                 sheet,
                 steps,
@@ -183,5 +182,5 @@ def _search(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]
         print_progress(f"N = {resolution}: {peer.name}, {steps} steps a frame: {how} after {done.simulated:.2f} s")
         return done.whole
 
-    steps = peer_jobs.longest_step(is_whole, peer.first_steps(resolution))
+    steps = peer_environment.longest_step(is_whole, peer.first_steps(resolution))
     return None if steps is None else tried[steps]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of unused features: against a hand-written loop of the necessary engine calls, by feature, by counts."""
+"""Cost of unused features: against a hand-written loop of the necessary engine calls, and by feature."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from support.feature_variants import BARE, FORCES, Running, Variant, swinging, variants
-from support.frame_counts import MARKERS, bytes_of_a_frame, calls_of_a_frame, modules_of
 
 from benchmarks.speed.curtain import cores
 from benchmarks.timing import InterleavedTimes, repeated, time_interleaved
@@ -86,13 +85,6 @@ MAX_HAND_WRITTEN_RATIO = 1.02
 MAX_SLEEP_RATIO = 0.03
 #: Largest ratio of a frame of a realistic sheet to one of the default cloth.
 MAX_REALISTIC_RATIO = 1.5
-#: Scenes whose loaded modules are listed.
-_SCENES: dict[str, dict[str, Any]] = {
-    "default": {},
-    "crossed bending": {"bending.model": "crossed", "material.bending_modulus": 1e-5},
-    "implicit": {"integrator": "implicit"},
-    "energy balance": {"diagnostics.energy": True},
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -218,25 +210,4 @@ def _realistic(options: argparse.Namespace, report: Report) -> None:
             report.fail(f"the sheet '{name}' takes {ratio:.3g} times the default; target {MAX_REALISTIC_RATIO:g}")
 
 
-def _counts(options: argparse.Namespace, report: Report) -> None:
-    resolution = options.sizes[0]
-    columns = ["feature", "is", "calls of the engine a frame", "bytes a particle that a frame needs", "bytes it keeps"]
-    table = report.add_table(f"Counts, N = {resolution}", columns)
-    for variant in variants():
-        simulation = Running(variant, resolution).simulation
-        calls = calls_of_a_frame(simulation)
-        needed, retained = bytes_of_a_frame(simulation)
-        call_list = ", ".join(f"{name} {count}" if count > 1 else name for name, count in calls.items()) or "none"
-        row = [variant.feature, variant.presence, call_list, needed / simulation.state.particle_count, retained]
-        table.rows.append(row)
-    imports = report.add_table(
-        "Modules that a fresh interpreter has loaded after two frames", ["scene", "ours", *MARKERS]
-    )
-    for name, values in _SCENES.items():
-        loaded = modules_of(values)
-        n_product_modules = sum(module.startswith("cloth_sim_ros") for module in loaded)
-        seen = ["yes" if any(marker in loaded for marker in markers) else "no" for markers in MARKERS.values()]
-        imports.rows.append([name, n_product_modules, *seen])
-
-
-PARTS = {"hand": _hand, "features": _features, "realistic": _realistic, "counts": _counts}
+PARTS = {"hand": _hand, "features": _features, "realistic": _realistic}

@@ -19,8 +19,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from validation import __main__ as validation_command
 from validation.case_pool import CasePool
 from validation.stability.cases import Case, all_cases, contact_cases, random_cases, run_case
-from validation.stability.limits import LARGEST_EXCESS, measure_step_limit, stretched_sheet
-from validation.stability.scan import MAX_ENERGY_GAIN
+from validation.stability.scan import LARGEST_EXCESS, MAX_ENERGY_GAIN, measure_step_limit, stretched_sheet
 
 
 @pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.stress_case)

@@ -145,13 +145,6 @@ def run(options: argparse.Namespace) -> Report:
     columns = ["scene", "time [s]", "deviation [m]", "of random cloths [m]", "predicted", "measured", "standard error"]
     table = Table(f"Share within {WITHIN:g} deviations, {options.cloths} cloths with random parameters", columns)
     for name in SCENES:
-        for row in measure_coverage(
-            name,
-            resolution=options.resolution,
-            cloths=options.cloths,
-            seconds=options.seconds,
-            seed=options.seed,
-            scale=options.scale,
-        ):
-            table.rows.append([name, *attrs.astuple(row)])
+        values = {key: getattr(options, key) for key in ("resolution", "cloths", "seconds", "seed", "scale")}
+        table.rows += [[name, *attrs.astuple(row)] for row in measure_coverage(name, **values)]
     return Report("Coverage of ensembles", tables=[table])

@@ -24,9 +24,9 @@ from cloth_sim_ros import (
     State,
     UnstableError,
 )
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.events import Event
 from validation.stability.energy_account import EnergyAccount
-from validation.stability.limits import max_stretch
 from validation.stability.stress_cases import CONTACT_STRESS_CASES, STRESS_CASES, StressFrame
 
 RESOLUTION = 12
@@ -227,3 +227,10 @@ def _springs(model: Model) -> list[PairSprings]:
     """Return the springs of a model between two particles."""
     forces = [force.pair_springs if isinstance(force, GridSprings) else force for force in model.forces]
     return [force for force in forces if isinstance(force, PairSprings)]
+
+
+def max_stretch(pairs: np.ndarray, rest_length: Array, x: Array) -> float:
+    """Return the largest length of springs relative to their rest length; joints (rest length 0) do not count."""
+    separations = x[:, pairs[:, 1]] - x[:, pairs[:, 0]]
+    length = np.sqrt(np.sum(separations * separations, axis=0))
+    return float(np.max(length[rest_length > 0.0] / rest_length[rest_length > 0.0], initial=0.0))

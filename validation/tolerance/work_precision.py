@@ -71,16 +71,11 @@ def run(options: argparse.Namespace) -> Report:
             if repeat == 0 or run_before.seconds < 5.0:
                 # No time limit: the first run of this solver was within it.
                 times[solver].append(solver.solve(scene, math.inf).seconds)
-    points = [
-        SolverPoint(
-            solver,
-            scene_reference.deviation(scene.frames, solver_run.positions),
-            times[solver],
-            solver_run.evaluations,
-            _residual(solver, scene, scene_reference),
-        )
-        for solver, solver_run in first_runs.items()
-    ]
+    points = []
+    for solver, solver_run in first_runs.items():
+        error = scene_reference.deviation(scene.frames, solver_run.positions)
+        residual = _residual(solver, scene, scene_reference)
+        points.append(SolverPoint(solver, error, times[solver], solver_run.evaluations, residual))
     report = Report(f"Work-precision on {scene.name}")
     reference_error = f"the reference's own error is {scene_reference.error:.1g} m"
     report.note(f"{scene.description}; errors at {scene.duration:g} s; {reference_error}")
@@ -108,9 +103,9 @@ def _all_runs(points: list[SolverPoint]) -> Table:
     columns = ["solver", "setting", "error m", "wall s", "least s", "most s", "evaluations", "energy residual"]
     table = Table("All runs", columns)
     for point in points:
-        row = [point.solver.name, point.solver.setting, point.error, point.median]
-        table.rows.append([*row, min(point.seconds), max(point.seconds), point.evaluations])
-        table.rows[-1].append("" if point.residual is None else point.residual)
+        row = [point.solver.name, point.solver.setting, point.error, point.median, min(point.seconds)]
+        residual = "" if point.residual is None else point.residual
+        table.rows.append([*row, max(point.seconds), point.evaluations, residual])
     return table
 
 
@@ -118,16 +113,14 @@ def _comparison(points: list[SolverPoint], report: Report, scene: str) -> Table:
     columns = ["error m", "product s", "by", "one thread s", "best library s", "by library", "times"]
     table = Table("Least time to an error", [*columns, "times by one thread"])
     for error, min_speedup in MIN_SPEEDUPS.items():
-        product = _fastest(points, "ours", error)
-        single_thread = _fastest(points, "alone", error)
-        library = _fastest(points, "library", error)
+        product, single_thread, library = (_fastest(points, kind, error) for kind in ("ours", "alone", "library"))
         if product is None or single_thread is None or library is None:
             report.note(f"no comparison at {error:g} m: product or library did not reach it")
             continue
         speedup = library.median / product.median
         names = [f"{point.solver.name} {point.solver.setting}" for point in (product, library)]
-        table.rows.append([error, product.median, names[0], single_thread.median, library.median, names[1], speedup])
-        table.rows[-1].append(library.median / single_thread.median)
+        row = [error, product.median, names[0], single_thread.median, library.median, names[1], speedup]
+        table.rows.append([*row, library.median / single_thread.median])
         if scene in ("curtain16", "curtain32") and speedup < min_speedup:
             report.fail(f"speedup over the best library at {error:g} m is {speedup:.2g}; required: {min_speedup:g}")
     return table
