@@ -12,12 +12,12 @@ import argparse
 import math
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
 
-from benchmarks.speed.cost_additivity import DEFAULT_CLOTH
 from benchmarks.speed.curtain import cores
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
@@ -26,6 +26,8 @@ from cloth_sim_ros.simulation.events import Event
 from validation.command import at_least
 from validation.report import Report, Table, print_progress
 
+#: The cloth that is carried.
+DEFAULT_CLOTH = Path(__file__).resolve().parents[2] / "config" / "cloth_sim.yaml"
 #: Frames before the timed ones, in which the gripper grasps and step control settles.
 _WARM = 10
 #: Radius [m] and angular speed [rad/s] of the circle.
