@@ -55,9 +55,8 @@ def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter],
     model = AlignmentModel(
         n_recordings=len(recordings), time=SHARED, camera=SHARED, has_shift=True, pivot=pivot_of(recordings)
     )
-    held = {"left": (0,), "right": (samples.RESOLUTION - 1,)}
     scene = samples.swing_scene({})
-    prepared = [motion_recording(r, scene, selections(held), max_offset=model.max_offset) for r in recordings]
+    prepared = [motion_recording(r, scene, selections(samples.HELD), max_offset=model.max_offset) for r in recordings]
     return JointProblem(
         recordings=prepared,
         used=[np.arange(len(r.clouds)) for r in recordings],

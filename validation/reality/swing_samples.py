@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import attrs
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +24,8 @@ from cloth_sim_ros.simulation.events import Event
 SET = 53
 #: Edge of the cloth [m], particles along it, and distance of the grippers relative to it.
 SIZE, RESOLUTION, NEARER = 0.3, 8, 0.98
+#: Held particles, by gripper.
+HELD = {"left": (0,), "right": (RESOLUTION - 1,)}
 #: Ranges of the true values. The middle of each is the start of a complete fit.
 RANGES = {
     "material.stretch_modulus": (150.0, 600.0),
@@ -64,19 +65,6 @@ SPREAD = 0.64
 #: Largest speed of the grippers [m/s].
 SPEED = 0.8
 SETTLE = 6.0
-
-
-@attrs.frozen(kw_only=True)
-class Swings:
-    """Recorded motions and the truth behind them."""
-
-    recordings: tuple[Recording, ...]
-    #: Noise-free clouds of the camera before it lost any, for each motion: shape (clouds, particles, 3) [m].
-    exact: tuple[Array, ...]
-    #: True parameters by full name.
-    truth: dict[str, float]
-    #: Held particles, by gripper.
-    held: dict[str, tuple[int, ...]]
 
 
 def swing_scene(values: dict[str, float]) -> Scene:
@@ -266,27 +254,6 @@ def camera_noise(times: Array, random: np.random.Generator, amplitude: Array) ->
         smooth[k] = share * smooth[k - 1] + np.sqrt(1.0 - share**2) * smooth[k]
     white = np.sqrt(1.0 - CORRELATED) * random.normal(size=smooth.shape)
     return np.asarray(NOISE / np.sqrt(3.0) * amplitude[:, None, None] * (factor @ smooth + white))
-
-
-def record_swings(
-    n_motions: int, seed: int, *, values: dict[str, float] | None = None, frames: list[Array] | None = None
-) -> Swings:
-    """Return a set of recordings.
-
-    Args:
-        n_motions: number of motions.
-        seed: seed of the camera.
-        values: true parameters by full name; default: `TRUTH`.
-        frames: true positions of each motion, if they are known.
-    """
-    truth = {**TRUTH, **(values or {})}
-    frames = frames or [exact_motion(k, truth) for k in range(n_motions)]
-    return Swings(
-        recordings=tuple(record_motion(k, motion, seed) for k, motion in enumerate(frames)),
-        exact=tuple(frames),
-        truth=truth,
-        held={"left": (0,), "right": (RESOLUTION - 1,)},
-    )
 
 
 def _pose_times() -> Array:

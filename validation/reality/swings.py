@@ -33,9 +33,9 @@ MIN_COVERAGE, MAX_COVERAGE, MIN_FITS, MAX_WIDTH_RATIO = 0.85, 0.95, 50, 1.5
 def complete_fit(seed: int, n_motions: int, workers: int | None) -> dict[str, Any]:
     """Return the result of one complete fit."""
     truth, start = samples.draw_truth(seed), samples.starting_values()
-    swings = samples.record_swings(n_motions, seed, values=truth)
+    recordings = [samples.record_motion(k, samples.exact_motion(k, truth), seed) for k in range(n_motions)]
     begin, begin_processor = time.perf_counter(), _processor_time()
-    fit = fit_real(swings.recordings, samples.swing_scene(start), list(truth), workers=workers)
+    fit = fit_real(recordings, samples.swing_scene(start), list(truth), workers=workers)
     seconds, processor = time.perf_counter() - begin, _processor_time() - begin_processor
     chosen = {} if fit.grasp is None else dict(fit.grasp.best.particles)
     first = fit.alignments[0]
@@ -47,7 +47,7 @@ def complete_fit(seed: int, n_motions: int, workers: int | None) -> dict[str, An
         "processor_seconds": processor,
         "runs": fit.n_runs,
         "doubt": fit.doubt,
-        "is_right_grasp": chosen == swings.held,
+        "is_right_grasp": chosen == samples.HELD,
         "is_tie": fit.grasp is not None and fit.grasp.is_tie,
         "offset": first.offset,
         "angle": float(np.degrees(first.angle)),

@@ -99,10 +99,15 @@ def _inverted(rest_positions: Array, random: np.random.Generator) -> Array:
 
 def _folded(rest_positions: Array, random: np.random.Generator) -> Array:
     """Fold the lower half up by nearly 180 degrees, onto the upper one."""
+    return _fold(rest_positions, slope=0.02)
+
+
+def _fold(rest_positions: Array, *, slope: float = 0.0, gap: float = 0.0) -> Array:
+    """Mirror the lower half onto the upper one, at a distance that grows from a gap [m] at the fold by a slope."""
     changed = rest_positions.copy()
     fold_height = rest_positions[:, 2].mean()
     lower = rest_positions[:, 2] < fold_height
-    changed[lower, 1] += 0.02 * (fold_height - rest_positions[lower, 2])
+    changed[lower, 1] += gap + slope * (fold_height - rest_positions[lower, 2])
     changed[lower, 2] = 2.0 * fold_height - rest_positions[lower, 2]
     return changed
 
@@ -188,13 +193,7 @@ def _plate(name: str, y: float) -> dict[str, Any]:
 
 
 def _folded_on_itself(rest_positions: Array, random: np.random.Generator) -> Array:
-    """Mirror the lower half onto the upper one at a small gap."""
-    changed = rest_positions.copy()
-    fold_height = rest_positions[:, 2].mean()
-    lower = rest_positions[:, 2] < fold_height
-    changed[lower, 1] += FOLDED_GAP * THICKNESS
-    changed[lower, 2] = 2.0 * fold_height - rest_positions[lower, 2]
-    return changed
+    return _fold(rest_positions, gap=FOLDED_GAP * THICKNESS)
 
 
 def _drive_through(frame: StressFrame) -> list[Event]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import attrs
@@ -210,17 +211,12 @@ def hung(rng: np.random.Generator) -> Trial:
     return _evaluate_sheet(rng, _hung_sheet(rng))
 
 
-def moving(rng: np.random.Generator) -> Trial:
-    """Evaluate a sheet with initial velocities, bending, wind and gusts."""
+def moving(rng: np.random.Generator, *, carries_air: bool = False) -> Trial:
+    """Evaluate a sheet with initial velocities, bending, wind and gusts, which may carry air along."""
     values = _hung_sheet(rng) | _bending(rng, ["none", "axial", "opposite", "crossed", "altitude"])
+    if carries_air:
+        values["air.added_mass"] = added_mass(rng, values)
     return _evaluate_sheet(rng, values | sheet_air(rng), is_moving=True, gust=True)
-
-
-def carried_air(rng: np.random.Generator) -> Trial:
-    """Evaluate a moving sheet as `moving`, which carries air along."""
-    values = _hung_sheet(rng) | _bending(rng, ["none", "axial", "opposite", "crossed", "altitude"])
-    values |= {"air.added_mass": added_mass(rng, values), **sheet_air(rng)}
-    return _evaluate_sheet(rng, values, is_moving=True, gust=True)
 
 
 def fabric(rng: np.random.Generator) -> Trial:
@@ -242,17 +238,8 @@ def friction(rng: np.random.Generator) -> Trial:
     return _evaluate_sheet(rng, values, is_moving=True, gust=True)
 
 
-def mesh(rng: np.random.Generator) -> Trial:
-    """Evaluate a triangle mesh that hangs from its highest vertices."""
-    return _evaluate_mesh(rng, carries_air=False)
-
-
-def mesh_air(rng: np.random.Generator) -> Trial:
-    """Evaluate a triangle mesh as `mesh`, which carries air along."""
-    return _evaluate_mesh(rng, carries_air=True)
-
-
-def _evaluate_mesh(rng: np.random.Generator, *, carries_air: bool) -> Trial:
+def mesh(rng: np.random.Generator, *, carries_air: bool = False) -> Trial:
+    """Evaluate a triangle mesh that hangs from its highest vertices, and may carry air along."""
     values = _hung_sheet(rng) | _bending(rng, ["none", "opposite", "crossed", "altitude"])
     for name in ("cloth.size", "cloth.resolution", "cloth.shear_layout"):
         del values[name]
@@ -354,11 +341,11 @@ SCENE_FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = 
     "thrown": (thrown, 8),
     "hung": (hung, 16),
     "moving": (moving, 40),
-    "carried-air": (carried_air, 42),
+    "carried-air": (partial(moving, carries_air=True), 42),
     "fabric": (fabric, 60),
     "friction": (friction, 50),
     "mesh": (mesh, 40),
-    "mesh-air": (mesh_air, 42),
+    "mesh-air": (partial(mesh, carries_air=True), 42),
     "events": (events, 70),
 }
 

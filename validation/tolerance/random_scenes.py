@@ -322,16 +322,7 @@ def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any
     direction = rng.normal(size=3)
     positions = np.concatenate([[0.0], np.cumsum(length)])[:, None] * (direction / np.linalg.norm(direction))
     positions += 0.01 * length.mean() * rng.normal(size=positions.shape)
-    rigidity = (
-        np.array([log_uniform(rng, *MODULI) for _ in rest_lengths])
-        if rng.random() < 0.5
-        else np.full(len(rest_lengths), log_uniform(rng, *MODULI))
-    )
-    masses = (
-        np.array([log_uniform(rng, 1e-3, 0.3) for _ in positions])
-        if rng.random() < 0.5
-        else np.full(count, log_uniform(rng, 1e-3, 0.3))
-    )
+    rigidity, masses = _alike_or_not(rng, count - 1, MODULI), _alike_or_not(rng, count, (1e-3, 0.3))
     damping = 0.0 if rng.random() < 0.3 else float(rng.uniform(0.0, 1.0 if count > 2 else 3.0))
     anchors = [[""], ["0"], ["0", str(count - 1)] if count > 2 else ["0"]][int(rng.integers(3))]
     velocities = (0.05 if calm else 0.3) * rng.normal(size=positions.shape)
@@ -352,6 +343,13 @@ def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any
     anchor_names = " ".join(anchors) or "none"
     words = ["calm" if calm else "wild", kind_name, stiffness_text, f"k_d0 {damping:.2g}", f"anchors {anchor_names}"]
     return json.dumps(tables).encode(), {"cloth.anchors": anchors, "cloth.size": [float(length.sum()), 1e-6]}, words
+
+
+def _alike_or_not(rng: np.random.Generator, count: int, limits: tuple[float, float]) -> Array:
+    """Draw numbers between limits: one for all or each by itself."""
+    if rng.random() < 0.5:
+        return np.array([log_uniform(rng, *limits) for _ in range(count)])
+    return np.full(count, log_uniform(rng, *limits))
 
 
 def _gravity(rng: np.random.Generator) -> list[float]:
