@@ -21,8 +21,8 @@ from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
 from validation.report import Report
 
+#: Size of the part of the session that is loaded and written repeatedly [bytes].
 _MEMORY = 256 << 20
-"""Size of the part of the session that is loaded and written repeatedly [bytes]."""
 _SNAPSHOT = SessionSnapshot(scene_yaml="/**: {}\n", state=b"-", metadata={"node": "/measure"})
 
 

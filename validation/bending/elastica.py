@@ -26,14 +26,14 @@ from validation.equilibrium import find_equilibrium
 class Elastica:
     """The exact shape of a strip of length 1 m."""
 
+    #: b = w L³/D.
     load: float
-    """b = w L³/D."""
+    #: Angle of the tip below the level [rad].
     slope_at_tip: float
-    """Angle of the tip below the level [rad]."""
+    #: Arc lengths from the clamp [m], ascending, (k,).
     arc: Array
-    """Arc lengths from the clamp [m], ascending, (k,)."""
+    #: Distance from the clamp and height below it at those [m], (k, 2).
     curve: Array
-    """Distance from the clamp and height below it at those [m], (k, 2)."""
 
     def at(self, arc: Array) -> Array:
         """Return distance and depth [m] at arc lengths (m,), (m, 2)."""
@@ -72,12 +72,12 @@ def heavy_elastica(slope_at_tip: float) -> Elastica:
 class Strip:
     """A clamped strip of springs at rest under its weight."""
 
+    #: Arc length from the clamp of every column of particles beyond it [m], (c,).
     arc: Array
-    """Arc length from the clamp of every column of particles beyond it [m], (c,)."""
+    #: Mean distance from the clamp and depth below it of the columns [m], (c, 2).
     curve: Array
-    """Mean distance from the clamp and depth below it of the columns [m], (c, 2)."""
+    #: Largest sideways offset of a column's mean [m]: a strip that twists leaves its plane.
     max_lateral_offset: float
-    """Largest sideways offset of a column's mean [m]: a strip that twists leaves its plane."""
 
 
 def hanging_strip(

@@ -47,12 +47,12 @@ class RecoveryStatistics:
     """Statistics of a batch of starts."""
 
     starts: int
+    #: Number of starts that rest in another shape, or that do not come to rest.
     missed: int
-    """Number of starts that rest in another shape, or that do not come to rest."""
+    #: Steps until the slowest of them is at rest.
     max_steps: int
-    """Steps until the slowest of them is at rest."""
+    #: Largest rise of the total energy between two checks in the last tenth of any motion, over k7 L².
     late_energy_rise: float
-    """Largest rise of the total energy between two checks in the last tenth of any motion, over k7 L²."""
 
 
 def start_positions(kind: Start, rest_positions: Array, count: int, rng: np.random.Generator) -> Array:

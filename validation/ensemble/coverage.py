@@ -48,18 +48,18 @@ SCENES: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
 class CoverageRow:
     """Coverage at one time of a motion."""
 
+    #: Simulated time [s].
     time: float
-    """Simulated time [s]."""
+    #: Root mean square of the deviations [m].
     deviation: float
-    """Root mean square of the deviations [m]."""
+    #: The same of the cloths with random parameters, about the ensemble's mean [m].
     sample_deviation: float
-    """The same of the cloths with random parameters, about the ensemble's mean [m]."""
+    #: Mean probability that a particle lies within two deviations.
     predicted: float
-    """Mean probability that a particle lies within two deviations."""
+    #: Share of particles and cloths within two deviations.
     measured: float
-    """Share of particles and cloths within two deviations."""
+    #: Standard error of that share, from its variation over cloths.
     standard_error: float
-    """Standard error of that share, from its variation over cloths."""
 
 
 def distribution_of(deviations: dict[str, float]) -> Distribution:

@@ -46,8 +46,8 @@ class FlatSheet:
 
     plan: Plan
     force: MembraneTriangles
+    #: Rest positions [m], (n, 2).
     positions: Array
-    """Rest positions [m], (n, 2)."""
 
     def solve(self, x: Array, load: Array, fixed: NDArray[np.bool_]) -> Array:
         """Return the positions of equilibrium (n, 2) under a load [N], (n, 2).

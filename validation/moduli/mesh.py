@@ -30,14 +30,14 @@ MESHES = (*((False, jitter) for jitter in (0.1, 0.2, 0.3, 0.4)), (True, 0.1), (T
 class Moduli:
     """Moduli of a sheet, divided by the nominal ones."""
 
+    #: Young's modulus along x.
     along_x: float
-    """Young's modulus along x."""
+    #: Young's modulus along y.
     along_y: float
-    """Young's modulus along y."""
+    #: Shear modulus, over 3/8 of the nominal Young's modulus.
     shear: float
-    """Shear modulus, over 3/8 of the nominal Young's modulus."""
+    #: Poisson's ratio along x, over 1/3.
     poisson: float
-    """Poisson's ratio along x, over 1/3."""
 
 
 def measure_moduli(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
