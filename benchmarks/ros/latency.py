@@ -290,8 +290,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the percentiles of the latencies."""
-    resolution = tuple(options.resolution)
-    common = {"rate": options.rate, "stream": options.stream, "seconds": options.seconds}
-    common["joint_states"] = options.joint_states
+    values = {name: getattr(options, name) for name in ("rate", "stream", "seconds", "joint_states")}
     with ros_context():
-        return measure(resolution=resolution, further=options.parameters, **common)[1]
+        return measure(resolution=tuple(options.resolution), further=options.parameters, **values)[1]

@@ -66,6 +66,20 @@ def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter],
     )
 
 
+def start_point(problem: JointProblem) -> Point:
+    """Return the point of all motions at the starting values, with rest shapes chosen and all motions aligned.
+
+    Raises:
+        ValueError: if a motion can't be simulated.
+    """
+    selected = range(len(problem.recordings))
+    choose_rest_shapes(problem, problem.start, selected, TOLERANCE)
+    point = problem.evaluate(problem.start, np.zeros(problem.alignment.n_unknowns), selected, TOLERANCE)
+    if isinstance(point, str):
+        raise ValueError(point)
+    return replace_alignment(problem, point, selected, align_all(problem, point, selected))
+
+
 def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linearized:
     """Return the derivatives of the motions at the true parameters.
 
@@ -81,11 +95,7 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
     problem = prepare(whole, parameters, pool)
     selected = range(len(whole))
     problem.offsets = (samples.DELAY - 0.1, samples.DELAY + 0.1)
-    choose_rest_shapes(problem, problem.start, selected, TOLERANCE)
-    point = problem.evaluate(problem.start, np.zeros(problem.alignment.n_unknowns), selected, TOLERANCE)
-    if isinstance(point, str):
-        raise ValueError(point)
-    point = aligned(problem, replace_alignment(problem, point, selected, align_all(problem, point, selected)))
+    point = aligned(problem, start_point(problem))
     recorded = LossyClouds.at_truth(parameters, problem.recordings, point, exact, seed, selected, pool)
     steps, previous = DifferenceSteps.initial(len(parameters)), None
     for _ in range(MAX_LINEARIZATIONS):

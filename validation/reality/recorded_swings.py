@@ -22,16 +22,16 @@ from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel
 from cloth_sim_ros.fit.bag import read_recording
 from cloth_sim_ros.fit.hypotheses import pivot_of, selections
 from cloth_sim_ros.fit.joint import JointProblem
-from cloth_sim_ros.fit.motions import TOLERANCE, align_all, replace_alignment
+from cloth_sim_ros.fit.motions import replace_alignment
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
+from validation.reality.linear_fits import start_point
 from validation.report import Report, print_progress
 
 #: Topics of the clouds and of the arm's tool.
@@ -112,13 +112,8 @@ class _Evaluation:
         problem = JointProblem(
             recordings=prepared, used=list(screened.used), parameters=parameters, alignment=model, pool=pool
         )
-        selected = range(len(recordings))
-        choose_rest_shapes(problem, problem.start, selected, TOLERANCE)
-        point = problem.evaluate(problem.start, np.zeros(model.n_unknowns), selected, TOLERANCE)
-        if isinstance(point, str):
-            raise ValueError(point)
-        self.problem, self.point = problem, point
-        self.align(align_all(problem, point, selected))
+        self.problem, self.point = problem, start_point(problem)
+        self.align(self.point.eta)
 
     def align(self, eta: Array) -> None:
         """Use another time offset and camera pose."""
