@@ -321,18 +321,16 @@ def _memory(options: argparse.Namespace, report: Report) -> None:
 def _rollouts(options: argparse.Namespace, report: Report) -> None:
     columns = ["futures", "frames", "particles", "contact with itself", "by", "wall s", "least", "most"]
     table = report.add_table("Rollouts of one second, the gripper moving", columns)
-    methods = {}
-    for self_contact in (False, True):
+    runs = {}
+    for self_contact, name in ((False, "no"), (True, "yes")):
         batch = RolloutBatch(options.rollouts, options.rollout_resolution, self_contact)
         batch.in_processes()  # Warm-up: processes start and import.
-        methods[self_contact, "threads"], methods[self_contact, "processes"] = batch.in_threads, batch.in_processes
-    runs = {f"{self_contact} {by}": run_rollouts for (self_contact, by), run_rollouts in methods.items()}
+        runs[f"{name} threads"], runs[f"{name} processes"] = batch.in_threads, batch.in_processes
     turns = time_interleaved(runs, seconds=options.seconds)
-    for self_contact, by in methods:
-        seconds = turns.seconds[f"{self_contact} {by}"]
-        row = [options.rollouts, batch.frames, options.rollout_resolution**2, "yes" if self_contact else "no", by]
-        table.rows.append([*row, turns.median(f"{self_contact} {by}"), min(seconds), max(seconds)])
-    best = min(turns.median("False threads"), turns.median("False processes"))
+    for name, seconds in turns.seconds.items():
+        row = [options.rollouts, batch.frames, options.rollout_resolution**2, *name.split()]
+        table.rows.append([*row, turns.median(name), min(seconds), max(seconds)])
+    best = min(turns.median("no threads"), turns.median("no processes"))
     report.require(best <= MAX_ROLLOUT_TIME, f"rollouts took {best:.2f} s; target {MAX_ROLLOUT_TIME:g} on two cores")
 
 

@@ -21,7 +21,7 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.simulation.events import Event
 from validation.case_pool import CasePool
 from validation.report import Report, Table
-from validation.stability.energy_account import EnergyAccount, kinetic_energy
+from validation.stability.cases import EnergyAccount, kinetic_energy
 from validation.tolerance.random_scenes import DENSITIES, log_uniform
 
 SIDES, MODULI = (2, 33), (30.0, 1e5)
