@@ -89,14 +89,11 @@ def _study(options: argparse.Namespace) -> Study:
 
 def _task_cost(address: SchedulerAddress, tasks: int) -> tuple[float, float]:
     """Return wall time and core time per empty task [s]. This process is scheduler and client."""
-    client = connect(address, wait=30.0)
-    try:
+    with connect(address, wait=30.0) as client:
         client.gather(client.map(abs, range(100), pure=False))
         begun, worked = time.perf_counter(), time.process_time()
         client.gather(client.map(abs, range(tasks), pure=False))
         return (time.perf_counter() - begun) / tasks, (time.process_time() - worked) / tasks
-    finally:
-        client.close()
 
 
 def _plain(study: Study, workers: int) -> tuple[float, float]:

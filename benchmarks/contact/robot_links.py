@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -50,8 +49,7 @@ def run(options: argparse.Namespace) -> Report:
         f"{len(links.names)} links that stand": _Run(Simulation(scene)),
         f"{len(links.names)} links that move": _Run(Simulation(scene), links),
     }
-    candidates: dict[str, Callable[[], None]] = dict(runs)
-    times = time_interleaved(candidates, seconds=options.seconds, clock=time.process_time)
+    times = time_interleaved(runs, seconds=options.seconds, clock=time.process_time)
     period = Scene().period
     columns = ["scene", "ms a frame", "more than without % of 1/60 s", "ratio"]
     table = Table("Far links of a robot beside the default cloth", columns)

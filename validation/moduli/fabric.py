@@ -197,9 +197,4 @@ def run(options: argparse.Namespace) -> Report:
         if error > MAX_PATCH_ERROR:
             failures.append(f"patch of the {mesh} mesh deviates by {error:.2g}")
     note = f"warp {WARP:g}, weft {WEFT:g}, shear {SHEAR:g} N/m, Poisson's ratio {POISSON:g}; strain {_STRAIN:g}"
-    return Report(
-        "Moduli of woven strips",
-        tables=[strips, patches],
-        notes=[note],
-        failures=failures,
-    )
+    return Report("Moduli of woven strips", tables=[strips, patches], notes=[note], failures=failures)

@@ -22,9 +22,8 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from validation.case_pool import CasePool, read_results
 from validation.report import Report, Table
-from validation.tolerance.climb_scenes import SCENE_FAMILIES, Trial, contact, save_times
+from validation.tolerance.climb_scenes import FAMILIES, Trial
 
-FAMILIES = {**SCENE_FAMILIES, "contact": (contact, 24), "save-times": (save_times, 18)}
 METHODS = ("hill", "evolution")
 #: Random starts of a hill climb, and limits of the number of failures in a row before it restarts.
 _STARTS, _MAX_FAILURES = 6, (30, 200)

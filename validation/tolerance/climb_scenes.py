@@ -333,22 +333,6 @@ def _evaluate_sheet(
     return evaluate_trial(draw, {**values, "changes": {str(frame): change for frame, change in changes.items()}})
 
 
-#: Evaluation of each family by the draws of a generator, and the number of coordinates that a climb varies.
-SCENE_FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
-    "falling": (falling, 6),
-    "joints": (joints, 20),
-    "springs": (springs, 20),
-    "thrown": (thrown, 8),
-    "hung": (hung, 16),
-    "moving": (moving, 40),
-    "carried-air": (partial(moving, carries_air=True), 42),
-    "fabric": (fabric, 60),
-    "friction": (friction, 50),
-    "mesh": (mesh, 40),
-    "mesh-air": (partial(mesh, carries_air=True), 42),
-    "events": (events, 70),
-}
-
 #: Limits of the number of particles along a side of a sheet in contact.
 _SIDES = (2, 4)
 #: Kinds of contact; the reference takes minutes for a fold that lies on itself.
@@ -414,3 +398,22 @@ def save_times(rng: np.random.Generator) -> Trial:
     window = linear_window(exact, saved, durations[:end], motion.advances, tolerance)
     words = f"{count - 1} joints, saved each {interval:.2g} s"
     return Trial(tolerance=tolerance, words=words, parameters=parameters, windows=(window,))
+
+
+#: Evaluation of each family by the draws of a generator, and the number of coordinates that a climb varies.
+FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
+    "falling": (falling, 6),
+    "joints": (joints, 20),
+    "springs": (springs, 20),
+    "thrown": (thrown, 8),
+    "hung": (hung, 16),
+    "moving": (moving, 40),
+    "carried-air": (partial(moving, carries_air=True), 42),
+    "fabric": (fabric, 60),
+    "friction": (friction, 50),
+    "mesh": (mesh, 40),
+    "mesh-air": (partial(mesh, carries_air=True), 42),
+    "events": (events, 70),
+    "contact": (contact, 24),
+    "save-times": (save_times, 18),
+}
