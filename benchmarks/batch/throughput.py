@@ -207,8 +207,12 @@ def _memory_use(count: int, resolution: int) -> tuple[float, float]:
 
 
 def soak(steps: int, count: int) -> list[float]:
-    """Return steps, cloths, episodes, and memory after a quarter of the steps and at the end [MB], of random steps
-    of cloths of 6 x 6 particles; episodes last 50 steps, a quarter of them with another density.
+    """Run random steps of cloths of 6 x 6 particles.
+
+    Episodes last 50 steps, a quarter of them with another density.
+
+    Returns:
+        Steps, cloths, episodes, and memory after a quarter of the steps and at the end [MB].
     """
     from cloth_sim_ros.learning.vector_env import ClothVectorEnv
 

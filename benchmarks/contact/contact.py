@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact with obstacles against theory, and the cost of contact and self-contact.
 
-Measured are drift on a slope, a strip over a drum, impacts, a sheet on a table, the folded towel, a hanging
-sheet, and sheets that stay away from themselves. Sheets are 0.3 m wide, of the default material, with contact.thickness
-2 mm, without air. Sleep is off.
+Theory is compared with drift on a slope, a strip over a drum, and impacts. Costs are those of a sheet on a table, a
+folded towel, a hanging sheet, and sheets that stay away from themselves. Sheets are 0.3 m wide, of the default
+material, with contact.thickness 2 mm, without air. Sleep is off.
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ def latency_figures(
 ) -> dict[str, Any]:
     """Return percentiles of latencies, and whether they meet the goal.
 
-    Targets meet it if the median is below a frame plus 2 ms and the 99th percentile below two frames, joint states if
-    the 99th percentile is below a frame plus 10 ms.
+    Targets meet it if the median is below a frame plus 2 ms and the 99th percentile below two frames. Joint states meet
+    it if the 99th percentile is below a frame plus 10 ms.
 
     Args:
         seconds: from each target's publication to the arrival of the first cloud that reflects it [s].

@@ -74,6 +74,7 @@ def _one_reference() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(speed_curtain, "trusted", trusted)
+        patch.setattr(speed_curtain, "SCORED_FRAMES", {16: 6})
         yield
 
 
