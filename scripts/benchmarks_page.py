@@ -37,7 +37,6 @@ SECTIONS = {
     "speed": "benchmarks speed",
     "scale": "benchmarks scale",
     "feature-cost": "benchmarks feature-cost",
-    "cost-additivity": "benchmarks cost-additivity",
     "batch": "benchmarks batch",
     "studies": "benchmarks studies",
     "work-precision-16": "validation work-precision --scene curtain16 --slow",
@@ -145,7 +144,6 @@ EXCERPTS = {
         "A frame of 1/60 s on two threads",
         ("N", "precision", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"),
     ),
-    "cost-additivity": Excerpt("cost-additivity", "grid: frames with one feature", ("feature", "ms", "to base")),
     "batch": Excerpt("batch", "Rollouts", ("futures", "frames", "particles", "contact with itself", "by", "wall s")),
     "studies": Excerpt("studies", "throughput", ("what", "wall s", "times real time", "a core", "of plain %")),
     "work-precision-16": Excerpt(

@@ -11,23 +11,14 @@ from validation.command import run_command
 
 #: Module and one-line description of each command, by name.
 COMMANDS = {
-    "tolerance": (
-        "validation.tolerance.bound",
-        "the error bound on random scenes, or searched for violations, against a reference in C",
-    ),
+    "tolerance": ("validation.tolerance.bound", "the error bound on random scenes, and a search for violations"),
     "tolerance-sweep": ("validation.tolerance.sweep", "achieved error against the requested tolerance, scene by scene"),
     "work-precision": ("validation.tolerance.work_precision", "wall time against error, compared with library solvers"),
     "conditioning": ("validation.tolerance.conditioning", "amplification of a perturbation of a nanometre, by scene"),
     "constants": ("validation.tolerance.constants", "effect of halving and doubling each constant of step control"),
     "stability": ("validation.stability.scan", "thousands of stress cases; measured and predicted step limits"),
-    "coupling": (
-        "validation.stability.coupling",
-        "delays of forces with which a wrist in another simulator stays stable",
-    ),
-    "ensemble-coverage": (
-        "validation.ensemble.coverage",
-        "share of cloths with random parameters within two deviations of an ensemble's mean",
-    ),
+    "coupling": ("validation.stability.coupling", "delays with which a wrist in another simulator stays stable"),
+    "ensemble-coverage": ("validation.ensemble.coverage", "share of random cloths within two deviations of a mean"),
     "reality": ("validation.reality.command", "fits to a synthetic copy of recorded swings of a real cloth"),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
     "fabric-moduli": ("validation.moduli.fabric", "strips cut at angles to the warp against laminate theory"),

@@ -12,7 +12,8 @@ import time
 import types
 import typing
 from collections.abc import Callable, Iterator, Sequence
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -39,27 +40,31 @@ class CaseResult(Generic[C, R]):
 
 
 class _Worker(Generic[C, R]):
-    """One process and its current case."""
+    """One process, which runs one case at a time."""
 
     def __init__(self, run: Callable[[C], R]) -> None:
-        self.connection, child_connection = _CONTEXT.Pipe()
+        self._connection, child_connection = _CONTEXT.Pipe()
         self.process = _CONTEXT.Process(target=_serve, args=(child_connection, run), daemon=True)
         self.process.start()
         child_connection.close()
-        self.case: C | None = None
-        #: Time at which its case is aborted; None while the process starts, which is not timed.
-        self.deadline: float | None = None
-        self.started = 0.0
+        try:
+            # The start of the process is not timed.
+            self._connection.recv()
+        except EOFError:
+            raise RuntimeError("a worker process ended before its first case; its output states the cause") from None
 
-    def assign(self, case: C, limit: float) -> None:
-        self.case, self.started = case, time.monotonic()
-        self.deadline = self.started + limit
-        self.connection.send(case)
-
-    def stop(self) -> None:
-        self.connection.close()
+    def run(self, case: C, limit: float) -> CaseResult[C, R]:
+        """Run a case; after a time limit [s] kill the process."""
+        begin, trouble = time.monotonic(), "its process ended"
+        try:
+            self._connection.send(case)
+            if self._connection.poll(limit):
+                return CaseResult(case, self._connection.recv(), time.monotonic() - begin)
+            trouble = f"took longer than {limit:g} s"
+        except (EOFError, OSError):
+            pass
         self.process.kill()
-        self.process.join()
+        return CaseResult(case, None, time.monotonic() - begin, trouble)
 
 
 @attrs.frozen
@@ -79,38 +84,25 @@ class CasePool:
             run: runs one case; must be importable by name. Cases and results must be picklable.
             cases: the cases to run.
         """
-        pending = list(reversed(cases))
-        pool: list[_Worker[C, R]] = [_Worker(run) for _ in range(min(self.workers, len(cases)))]
+        workers: set[_Worker[C, R]] = set()
+        idle: list[_Worker[C, R]] = []
+
+        def run_case(case: C) -> CaseResult[C, R]:
+            worker = idle.pop() if idle else _Worker(run)
+            workers.add(worker)
+            case_result = worker.run(case, self.limit)
+            if not case_result.trouble:
+                idle.append(worker)
+            return case_result
+
+        threads = ThreadPoolExecutor(self.workers)
         try:
-            while pool:
-                deadlines = [worker.deadline for worker in pool if worker.deadline is not None]
-                timeout = max(0.0, min(deadlines) - time.monotonic()) if deadlines else None
-                ready: list[Any] = wait([worker.connection for worker in pool], timeout)
-                for worker in list(pool):
-                    case_result: CaseResult[C, R] | None = None
-                    if worker.connection in ready:
-                        case_result = _receive(worker)
-                    elif (
-                        worker.deadline is not None and time.monotonic() >= worker.deadline and worker.case is not None
-                    ):
-                        case_result = CaseResult(worker.case, None, self.limit, f"took longer than {self.limit:g} s")
-                    else:
-                        continue
-                    if case_result is not None:
-                        yield case_result
-                    if case_result is not None and case_result.result is None:
-                        worker.stop()
-                        pool.remove(worker)
-                        if pending:
-                            pool.append(_Worker(run))
-                    elif pending:
-                        worker.assign(pending.pop(), self.limit)
-                    else:
-                        worker.stop()
-                        pool.remove(worker)
+            for future in as_completed([threads.submit(run_case, case) for case in cases]):
+                yield future.result()
         finally:
-            for worker in pool:
-                worker.stop()
+            threads.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.process.kill()
 
     def run_missing(
         self, run: Callable[[C], R], cases: Sequence[C], kinds: tuple[Any, Any]
@@ -202,18 +194,6 @@ def restored(kind: Any, value: Any) -> Any:
 def _to_python(scalar: Any) -> Any:
     """Convert a numpy scalar to a Python number."""
     return scalar.item()
-
-
-def _receive(worker: _Worker[C, R]) -> CaseResult[C, R] | None:
-    """Receive a result from a process; None means that the process is ready."""
-    case, seconds = worker.case, time.monotonic() - worker.started
-    try:
-        result = worker.connection.recv()
-    except EOFError:
-        if case is None:
-            raise RuntimeError("a worker process ended before its first case; its output states the cause") from None
-        return CaseResult(case, None, seconds, "its process ended")
-    return None if case is None else CaseResult(case, result, seconds)
 
 
 def _serve(connection: Connection, run: Callable[[C], R]) -> None:

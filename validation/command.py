@@ -46,7 +46,11 @@ def run_command(
     if name not in commands:
         parser.parse_args(words)
     module = importlib.import_module(commands[name][0])
-    command_parser = argparse.ArgumentParser(prog=f"{parser.prog} {name}", description=commands[name][1])
+    command_parser = argparse.ArgumentParser(
+        prog=f"{parser.prog} {name}",
+        description=commands[name][1],
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
     module.add_arguments(command_parser)
     if hasattr(module, "figures"):
         return _print_figures(module.figures, command_parser, command_arguments)
@@ -58,10 +62,41 @@ def run_command(
             report = module.run(options)
     except (ValueError, OutputError) as error:
         command_parser.error(str(error))
+    report.command = " ".join([command_parser.prog, *_without_files(command_arguments)])
     sys.stdout.write(report.text() + "\n")
     if options.json is not None:
         options.json.write_text(report.json_text())
     return 1 if report.failures else 0
+
+
+def _without_files(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments without the files to which results are written."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for name in ("--json", "--resume", "--record"):
+        parser.add_argument(name)
+    return parser.parse_known_args(arguments)[1]
+
+
+def at_least(minimum: int) -> Callable[[str], int]:
+    """Return the type of an option: an integer of at least `minimum`."""
+
+    def parse(text: str) -> int:
+        if not text.lstrip("-").isdigit() or int(text) < minimum:
+            raise argparse.ArgumentTypeError(f"{text}; it must be an integer of at least {minimum}")
+        return int(text)
+
+    return parse
+
+
+def above(minimum: float) -> Callable[[str], float]:
+    """Return the type of an option: a number above `minimum`."""
+
+    def parse(text: str) -> float:
+        if not float(text) > minimum:
+            raise argparse.ArgumentTypeError(f"{text}; it must be above {minimum:g}")
+        return float(text)
+
+    return parse
 
 
 def _print_figures(

@@ -49,7 +49,8 @@ class Report:
     """Results of one command."""
 
     title: str
-    command: str
+    #: Set by `command.run_command`.
+    command: str = ""
     tables: list[Table] = attrs.field(factory=list)
     notes: list[str] = attrs.field(factory=list)
     #: Requirements that were not met; any makes the exit status 1.
@@ -102,9 +103,11 @@ def print_progress(text: str) -> None:
 
 def environment() -> dict[str, str]:
     """Return the date, the machine, the versions of libraries and the commit."""
+    from cloth_sim_ros.simulation.environment import environment as product_environment
+
     versions = {
         "date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
-        "machine": _processor(),
+        "machine": product_environment()["processor"],
         "cores": str(len(os.sched_getaffinity(0))),
         "python": platform.python_version(),
     }
@@ -115,13 +118,6 @@ def environment() -> dict[str, str]:
             versions[name] = "absent"
     versions["commit"] = _commit()
     return versions
-
-
-def _processor() -> str:
-    for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
-        if line.startswith("model name"):
-            return line.partition(":")[2].strip()
-    return platform.machine()
 
 
 def _commit() -> str:

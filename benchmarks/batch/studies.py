@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overhead of studies: Dask per task, sessions, clouds, and the sizing of a million runs."""
+"""Overhead of studies: Dask per task, sessions and clouds."""
 
 from __future__ import annotations
 
@@ -18,31 +18,24 @@ from cloth_sim_ros.studies.cluster import SchedulerAddress, connect, local_sched
 from cloth_sim_ros.studies.folder import StudyFolder
 from cloth_sim_ros.studies.sampling import sample
 from cloth_sim_ros.studies.study import Study
-from cloth_sim_ros.studies.study_estimate import format_quantity
 from cloth_sim_ros.studies.study_run import CommandedSimulation
 from cloth_sim_ros.studies.study_runner import StudyRunner
 from validation.report import Report, Table
 
-#: Runs of the sizing on paper, and the length of each [s].
-_MILLION, _LENGTH = 1_000_000, 10.0
-#: Available time for them [h].
-_HOURS = 24.0
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the subcommand."""
-    parser.add_argument("--resolution", type=int, default=30, help="particles a side (default: %(default)s)")
-    parser.add_argument("--runs", type=int, default=8, help="of each study (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=4.0, help="simulated, of each run (default: %(default)s)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default: %(default)s)")
-    tasks = "empty tasks for Dask's own cost (default: %(default)s)"
-    parser.add_argument("--tasks", type=int, default=3000, help=tasks)
+    parser.add_argument("--resolution", type=int, default=30, help="particles a side")
+    parser.add_argument("--runs", type=int, default=8, help="of each study")
+    parser.add_argument("--seconds", type=float, default=4.0, help="simulated, of each run")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--tasks", type=int, default=3000, help="empty tasks for Dask's own cost")
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure a study and size a cluster from the result."""
+    """Measure a study."""
     study = _study(options)
-    report = Report("Studies", f"python -m benchmarks studies --resolution {options.resolution} --runs {options.runs}")
+    report = Report("Studies")
     with local_scheduler(options.workers, lambda _text: None) as address:
         task = _task_cost(address, options.tasks)
         rows: list[list[Any]] = [["simulations alone, in processes", *_plain(study, options.workers), 0.0]]
@@ -62,12 +55,11 @@ def run(options: argparse.Namespace) -> Report:
         table.rows.append([label, wall, work, *shares, size / simulated / 1e3])
     costs = [options.tasks, 1e3 * task[0], 1e3 * task[1]]
     report.tables.append(Table("Dask", ["tasks", "wall ms a task", "core ms of scheduler and client a task"], [costs]))
-    report.tables.append(_sizing(options, rows, task[1]))
     report.note(
         f"a cloth of {options.resolution} x {options.resolution} particles, a corner carried by a gripper all the "
         f"time, tolerance 1 mm; {options.workers} processes with a thread each. Dask's cost is that of empty tasks "
         "through one scheduler, client and workers on the same cores: an upper bound. Core seconds are the processes' "
-        "own; on a machine that does other things they tell more than wall seconds, and the sizing is made of them"
+        "own; on a machine that does other things they tell more than wall seconds"
     )
     return report
 
@@ -97,14 +89,11 @@ def _study(options: argparse.Namespace) -> Study:
 
 def _task_cost(address: SchedulerAddress, tasks: int) -> tuple[float, float]:
     """Return wall time and core time per empty task [s]. This process is scheduler and client."""
-    client = connect(address, wait=30.0)
-    try:
+    with connect(address, wait=30.0) as client:
         client.gather(client.map(abs, range(100), pure=False))
         begun, worked = time.perf_counter(), time.process_time()
         client.gather(client.map(abs, range(tasks), pure=False))
         return (time.perf_counter() - begun) / tasks, (time.process_time() - worked) / tasks
-    finally:
-        client.close()
 
 
 def _plain(study: Study, workers: int) -> tuple[float, float]:
@@ -141,19 +130,3 @@ def _through_cloth_batch(address: SchedulerAddress, study: Study) -> tuple[float
         runner.run(address, range(study.runs), wait=30.0)
         wall = time.perf_counter() - begun
     return wall, sum(row["cpu_time"] for row in rows.values()), float(sum(row["bytes"] for row in rows.values()))
-
-
-def _sizing(options: argparse.Namespace, rows: list[list[Any]], task: float) -> Table:
-    """Extrapolate the measured cost to a million runs."""
-    table = Table(
-        f"a million runs of {_LENGTH:g} s, on paper",
-        ["clouds", "core hours", f"cores for {_HOURS:g} h", "bytes", "tasks a second then", "scheduler busy %"],
-    )
-    simulated = options.runs * options.seconds
-    for label, _, work, size in rows[1:]:
-        hours = work / simulated * _LENGTH * _MILLION / 3600.0
-        rate = _MILLION / (_HOURS * 3600.0)
-        cloud = "yes" if label.endswith("with clouds") else "no"
-        total = format_quantity(size / simulated * _LENGTH * _MILLION, "B")
-        table.rows.append([cloud, f"{hours:,.0f}", f"{hours / _HOURS:,.0f}", total, rate, 100.0 * rate * task])
-    return table

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,10 +17,9 @@ import numpy as np
 from support.robots import chain, robot_scene, shell
 
 from benchmarks.timing import time_interleaved
+from cloth_sim_ros import MoveObstacles, Scene, Simulation
 from cloth_sim_ros.scene.robot.links import RobotLinks
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, MoveObstacles
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
 from validation.report import Report, Table
 
 #: Joints of the chain, and shapes of each link.
@@ -36,12 +34,12 @@ _MAX_SHARE = 0.1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--seconds", type=float, default=20.0, help="wall time of all turns [s] (%(default)s)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="wall time of all turns [s]")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Time frames of the default cloth without obstacles, and beside links that stand and move."""
-    report = Report("Links of a robot", "python -m benchmarks robot-links")
+    report = Report("Links of a robot")
     values = {"robot.position": [4.0, 0.0, 0.0], "robot.links": [f"l{k + 1}" for k in range(_JOINTS)]}
     scene, links = robot_scene(chain(_JOINTS, _SHAPES), values)
     box = {"obstacles": ["box"], "box.shape": "box", "box.position": [4.0, 0.0, 0.0]}
@@ -51,8 +49,7 @@ def run(options: argparse.Namespace) -> Report:
         f"{len(links.names)} links that stand": _Run(Simulation(scene)),
         f"{len(links.names)} links that move": _Run(Simulation(scene), links),
     }
-    candidates: dict[str, Callable[[], None]] = dict(runs)
-    times = time_interleaved(candidates, seconds=options.seconds, clock=time.process_time)
+    times = time_interleaved(runs, seconds=options.seconds, clock=time.process_time)
     period = Scene().period
     columns = ["scene", "ms a frame", "more than without % of 1/60 s", "ratio"]
     table = Table("Far links of a robot beside the default cloth", columns)

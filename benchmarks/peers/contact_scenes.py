@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from support.problems import PERIOD
 
-from benchmarks.peers.jobs import thread_edges
+from benchmarks.peers.environment import thread_edges
+from cloth_sim_ros import Scene
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.scene.scene import Scene
 
 THICKNESS, FRICTION, GRAVITY, TOLERANCE = 2e-3, 0.5, 9.81, 1e-3
 #: Drag of the air [1/s]; strong enough for sheets to come to rest. Bending modulus of the peers' sheets [N m].

@@ -23,13 +23,8 @@ class NewtonEngine:
     distributions = ("newton", "warp-lang")
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
-        import newton
-        import warp
-
-        warp.config.quiet = True
-        self._warp = warp
-        builder = newton.ModelBuilder()
-        builder.gravity = tuple(sheet["gravity"].tolist())
+        newton, builder = self._begin(sheet)
+        warp = self._warp
         positions = [tuple(position) for position in sheet["positions"].tolist()]
         masses = np.where(sheet["anchored"], 0.0, sheet["masses"])
         builder.add_particles(positions, [(0.0, 0.0, 0.0)] * len(positions), masses.tolist())
@@ -60,6 +55,17 @@ class NewtonEngine:
 
             self._record(model, once)
         self._turn = 0
+
+    def _begin(self, sheet: dict[str, Any]) -> tuple[Any, Any]:
+        """Import the engine; return its module and the builder of a model."""
+        import newton
+        import warp
+
+        warp.config.quiet = True
+        self._warp = warp
+        builder = newton.ModelBuilder()
+        builder.gravity = tuple(sheet["gravity"].tolist())
+        return newton, builder
 
     def _record(self, model: Any, once: Callable[[Any, Any], None]) -> None:
         """Record a step from either state to the other; a small sheet is 3 times faster without Python in between."""
@@ -92,16 +98,11 @@ class NewtonContactEngine(NewtonEngine):
     """Scenes with contact by penalties: a shell of triangles; variants vbd and style3d."""
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
-        import newton
-        import warp
-
-        warp.config.quiet = True
-        self._warp = warp
+        newton, builder = self._begin(sheet)
+        warp = self._warp
         self._held, self._active = sheet["held"], int(newton.ParticleFlags.ACTIVE)
         thickness, friction = float(sheet["thickness"]), float(sheet["friction"])
         modulus, retardation, bending = (float(sheet[name]) for name in ("modulus", "retardation", "bending"))
-        builder = newton.ModelBuilder()
-        builder.gravity = tuple(sheet["gravity"].tolist())
         solid = newton.ModelBuilder.ShapeConfig(ke=_STIFFNESS, kd=_DAMPING, mu=friction)
         self._pads = self._add_solids(builder, sheet, solid, warp)
         cloth = {

@@ -1,18 +1,31 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Separate Python environment for other engines, created on demand."""
+"""Python environment of other engines, created on demand, and runs of them in it."""
 
 from __future__ import annotations
 
 import argparse
 import fcntl
 import json
+import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+from support.problems import PERIOD, Problem
+from support.raw_sheet import SHEET
+
+from cloth_sim_ros import Drag, Gravity, GridSprings
+from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
+from validation.command import above
 
 #: Variables that point another Python to this environment or to a sourced ROS: library and module paths, and the guard
 #: with which the ROS wheels mark a library path that is already set.
@@ -45,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser, packages: Collection[str], se
     """Declare the options of all comparisons with other engines."""
     parser.add_argument("--peers", nargs="*", choices=packages, default=[*packages], help="which engines besides ours")
     limit = "wall seconds after which a run ends early"
-    parser.add_argument("--seconds", type=float, default=seconds, metavar="S", help=limit)
-    folder_help = "where the peers are installed, from PyPI (%(default)s)"
+    parser.add_argument("--seconds", type=above(0.0), default=seconds, metavar="S", help=limit)
+    folder_help = "where the peers are installed, from PyPI"
     parser.add_argument("--environment", type=Path, metavar="FOLDER", default=default_folder(), help=folder_help)
 
 
@@ -131,20 +144,15 @@ def _make(folder: Path, on_message: Callable[[str], None]) -> None:
 
 def _installed(folder: Path) -> dict[str, str]:
     """Return the versions of installed packages, by lower-case name."""
-    script = (
-        "import importlib.metadata as m, json; "
-        "print(json.dumps({d.metadata['Name'].lower(): d.version for d in m.distributions()}))"
-    )
     try:
-        done = _run([str(python_of(folder)), "-I", "-c", script])
+        done = _run([str(python_of(folder)), "-I", "-m", "pip", "list", "--format", "json"])
         reason = last_line(done.stderr) if done.returncode else ""
     except OSError as error:
         reason = str(error)
     if reason:
         remedy = "remove the folder; the next run creates it again"
         raise EnvironmentUnusable(f"the Python in {folder} does not run: {reason}; {remedy}")
-    versions: dict[str, str] = json.loads(done.stdout)
-    return versions
+    return {package["name"].lower(): package["version"] for package in json.loads(done.stdout)}
 
 
 def _install(folder: Path, packages: tuple[str, ...]) -> str:
@@ -167,3 +175,211 @@ def last_line(text: str) -> str:
     """Return the last line of a program's output."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return lines[-1] if lines else "no word of why"
+
+
+#: Time for start, compilation and set-up, on top of the time limit of the frames [s].
+_START_TIMEOUT = 600.0
+#: Upper bound of steps per frame in the search.
+_MAX_STEPS = 4096
+#: Bisections between the longest valid step and the shortest invalid one.
+_REFINEMENTS = 2
+
+
+class PeerFailed(RuntimeError):
+    """Engine without a result; the message quotes its output."""
+
+
+@attrs.frozen
+class Peer:
+    """Solver of another engine, and the script that runs it."""
+
+    name: str
+    #: Entry of the requirements that it needs.
+    package: str
+    script: str
+    variant: str
+    #: Difference of its model from the product's.
+    differs: str
+    #: First steps per frame of the search, by particles a side.
+    first_steps: Callable[[int], int] = lambda n: 1
+    #: Differences in one contact scene, by its name.
+    apart: dict[str, str] = attrs.field(factory=dict, eq=False)
+    #: Whether its material bends and shears like that of the reference in contact.
+    comparable: bool = True
+
+
+@attrs.frozen(kw_only=True)
+class Attempt:
+    """Result of one run of an engine."""
+
+    #: Steps per frame of 1/60 s.
+    steps: int
+    #: Whether no edge is torn and all positions are finite.
+    whole: bool
+    #: Largest stretch of an edge at a frame, and at the end.
+    stretch: float
+    #: Number of steps.
+    n_steps: int
+    #: Wall time and processor time of the steps [s].
+    wall: float
+    cpu: float
+    versions: dict[str, str] = attrs.field(factory=dict)
+    remarks: list[str] = attrs.field(factory=list)
+
+    @property
+    def factor(self) -> float:
+        """Simulated seconds per wall second."""
+        return self.simulated / self.wall
+
+    @property
+    def cpu_factor(self) -> float:
+        """Simulated seconds per second of processor time."""
+        return self.simulated / self.cpu
+
+    @property
+    def simulated(self) -> float:
+        """Simulated time [s]."""
+        return self.n_steps / self.steps * PERIOD
+
+
+def sheet_tables(problem: Problem) -> dict[str, Any]:
+    """Return a raw sheet as plain tables.
+
+    The sheet has `positions` (n, 3) [m], `masses` (n,) [kg], `anchored` (n,), `rows` and `columns`. Springs have
+    `pairs` (m, 2), `rest_lengths` [m], `stiffness` [N/m] and `damping` [N s/m]. Stretch is measured by those along the
+    threads: `edges` (e, 2) and `edge_lengths` (e,) [m]. `triangles` (t, 3) form a checkerboard. `gravity` (3,) is in
+    m/s^2, `drag` in 1/s.
+    """
+    plan, state = problem.build()
+    model = plan.model
+    sheet = model.force(SHEET)
+    assert isinstance(sheet, GridSprings)
+    n_per_side = math.isqrt(model.particle_count)
+    gravity, drag = np.zeros(3), 0.0
+    for force in model.forces:
+        if isinstance(force, Gravity):
+            gravity = force.acceleration
+        elif isinstance(force, Drag):
+            drag = force.rate
+    springs = sheet.pair_springs
+    edges = thread_edges(n_per_side, n_per_side)
+    return {
+        "positions": state.positions,
+        "masses": model.masses,
+        "anchored": model.inverse_masses == 0.0,
+        "rows": n_per_side,
+        "columns": n_per_side,
+        "gravity": gravity,
+        "drag": drag,
+        "pairs": springs.pairs,
+        "rest_lengths": springs.rest_length,
+        "stiffness": springs.rigidity,
+        "damping": springs.damping,
+        "edges": edges,
+        "edge_lengths": np.linalg.norm(np.subtract(*state.positions[edges.T]), axis=1),
+        # Anticlockwise from above.
+        "triangles": grid_triangles(n_per_side, n_per_side, "alternating")[:, ::-1],
+    }
+
+
+def thread_edges(rows: int, columns: int) -> NDArray[np.int64]:
+    """Return the edges of a grid along its threads, (m, 2)."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    ends = ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:]))
+    return np.concatenate([np.stack([first.ravel(), second.ravel()], axis=1) for first, second in ends])
+
+
+def attempt(
+    peer: Peer,
+    sheet: Path,
+    steps: int,
+    *,
+    environment: Path,
+    frames: int,
+    seconds: float,
+    whole: float,
+    threads: int = 1,
+    **scene: Any,
+) -> Attempt:
+    """Run an engine with fixed steps per frame, in a process of the peers' environment.
+
+    Args:
+        peer: the engine.
+        sheet: the tables of `sheet_tables`, as npz.
+        steps: steps per frame of 1/60 s.
+        environment: where the engines are installed.
+        frames: maximum number of frames.
+        seconds: limit of the wall time of the steps [s].
+        whole: stretch of an edge above which the sheet is torn and the run ends.
+        threads: limit for engines with several threads.
+        scene: `record` and `hold` of a scene with contact; see `runner`.
+
+    Raises:
+        PeerFailed: if the engine gives no result.
+    """
+    job = {"sheet": str(sheet.absolute()), "steps": steps, "frames": frames, "seconds": seconds, "whole": whole}
+    job |= {**scene, "script": peer.script, "variant": peer.variant, "frame": PERIOD}
+    variables = clean_variables(
+        OMP_NUM_THREADS=str(threads),
+        OPENBLAS_NUM_THREADS=str(threads),
+        # What Warp compiles belongs to the environment.
+        WARP_CACHE_PATH=str(environment / "warp"),
+    )
+    python = python_of(environment.absolute())
+    command = [str(python), "-I", str(Path(__file__).with_name("runner.py"))]
+    limit = _START_TIMEOUT + 2.0 * seconds
+    try:
+        done = subprocess.run(
+            command,
+            input=json.dumps(job),
+            # Some engines leave a log there.
+            cwd=sheet.parent,
+            env=variables,
+            capture_output=True,
+            text=True,
+            timeout=limit,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise PeerFailed(f"{peer.name}: no result after {limit:.0f} s") from error
+    if done.returncode:
+        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        status = done.returncode
+        end = f"ended with status {status}" if status > 0 else f"was killed by {signal.Signals(-status).name}"
+        raise PeerFailed(f"{peer.name}: {end}: {lines[-1] if lines else 'no word of why'}")
+    return Attempt(steps=steps, **json.loads(done.stdout))
+
+
+def longest_step(is_valid: Callable[[int], bool | None], first: int) -> int | None:
+    """Find the longest valid step, to about a fifth, if every shorter step is valid; None if none was found.
+
+    Args:
+        is_valid: runs with a number of steps per frame; None if the run took too long, as then finer ones do too.
+        first: steps per frame of the first run.
+
+    Returns:
+        The number of steps per frame.
+    """
+    best, invalid, steps = 0, 0, first
+    while not best and steps <= _MAX_STEPS:
+        valid = is_valid(steps)
+        if valid is None:
+            return None
+        if valid:
+            best = steps
+        else:
+            invalid, steps = steps, 2 * steps
+    while not invalid and best > 1:
+        if is_valid(best // 2):
+            best //= 2
+        else:
+            invalid = best // 2
+    for _ in range(_REFINEMENTS):
+        middle = round(math.sqrt(invalid * best))
+        if not invalid or middle in (invalid, best):
+            break
+        if is_valid(middle):
+            best = middle
+        else:
+            invalid = middle
+    return best or None

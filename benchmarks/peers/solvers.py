@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from benchmarks.peers.contact_scenes import PEER_BENDING
-from benchmarks.peers.jobs import Peer
+from benchmarks.peers.environment import Peer
 
 #: Requirements for pip, by package.
 REQUIREMENTS = {

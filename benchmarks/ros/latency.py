@@ -22,13 +22,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import attrs
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, PointCloud2
 from std_srvs.srv import SetBool
 
-from benchmarks.ros.node_process import NodeProcess, node_process, ros_context
-from benchmarks.ros.probe import CORNER, GripperProbe, stamp_ns
+from benchmarks.ros.node_process import CORNER, NodeProcess, Probe, node_process, ros_context, stamp_ns
 
 #: Radius [m] and speed [m/s] of the corner's circle.
 _RADIUS, _SPEED = 0.1, 0.2
@@ -45,53 +46,43 @@ _MAX_STATE_DELAY = 0.01
 _WARM_UP_TIME = 1.0
 
 
-@attrs.frozen(kw_only=True)
-class Latencies:
-    """Measured latencies."""
+def latency_figures(
+    seconds: np.ndarray, *, particles: int, rate: float, diagnostics: Mapping[str, str], joint_states: bool
+) -> dict[str, Any]:
+    """Return percentiles of latencies, and whether they meet the goal.
 
-    particles: int
-    rate: float
-    #: From each target's publication to the arrival of the first cloud that reflects it [s].
-    seconds: np.ndarray
-    #: The node's last diagnostics.
-    diagnostics: dict[str, str]
-    #: True if joint states led a link, false if targets led the gripper.
-    joint_states: bool = False
+    Targets meet it if the median is below a frame plus 2 ms and the 99th percentile below two frames. Joint states meet
+    it if the 99th percentile is below a frame plus 10 ms.
 
-    @property
-    def met(self) -> bool:
-        """True if the median is below a frame plus 2 ms and the 99th percentile below two frames.
-
-        Of joint states, true if the 99th percentile is below a frame plus 10 ms.
-        """
-        frame = 1.0 / self.rate
-        if self.joint_states:
-            return bool(np.percentile(self.seconds, 99.0) < frame + _MAX_STATE_DELAY)
-        return bool(np.median(self.seconds) < frame + 0.002 and np.percentile(self.seconds, 99.0) < 2.0 * frame)
-
-    def summary(self) -> dict[str, Any]:
-        """Return plain values for a table."""
-        percentiles = np.percentile(self.seconds, [1.0, 50.0, 99.0, 100.0])
-        low, median, high, highest = (1e3 * percentiles).tolist()
-        diagnostic_keys = ("real_time_factor_overall", "late_frames", "load", "longest_frame_ms", "integrator_reason")
-        return {
-            "particles": self.particles,
-            "rate_hz": self.rate,
-            "targets": len(self.seconds),
-            "p1_ms": low,
-            "median_ms": median,
-            "p99_ms": high,
-            "max_ms": highest,
-            **{name: self.diagnostics.get(name, "") for name in diagnostic_keys},
-            "goal": "p99 below a frame and 10 ms"
-            if self.joint_states
-            else "median below a frame and 2 ms, p99 below two frames",
-            "met": self.met,
-        }
+    Args:
+        seconds: from each target's publication to the arrival of the first cloud that reflects it [s].
+        particles: number of particles.
+        rate: frames a second.
+        diagnostics: the node's last diagnostics.
+        joint_states: true if joint states led a link, false if targets led the gripper.
+    """
+    frame = 1.0 / rate
+    low, median, high, highest = np.percentile(seconds, [1.0, 50.0, 99.0, 100.0]).tolist()
+    goal, met = "median below a frame and 2 ms, p99 below two frames", median < frame + 0.002 and high < 2.0 * frame
+    if joint_states:
+        goal, met = "p99 below a frame and 10 ms", high < frame + _MAX_STATE_DELAY
+    diagnostic_keys = ("real_time_factor_overall", "late_frames", "load", "longest_frame_ms", "integrator_reason")
+    return {
+        "particles": particles,
+        "rate_hz": rate,
+        "targets": len(seconds),
+        "p1_ms": 1e3 * low,
+        "median_ms": 1e3 * median,
+        "p99_ms": 1e3 * high,
+        "max_ms": 1e3 * highest,
+        **{name: diagnostics.get(name, "") for name in diagnostic_keys},
+        "goal": goal,
+        "met": met,
+    }
 
 
-class LatencyProbe(GripperProbe):
-    """Probe that publishes targets and receives the clouds.
+class LatencyProbe(Probe):
+    """Probe that publishes targets when they are due, and receives clouds and diagnostics.
 
     Args:
         stream: targets per second, at random times.
@@ -100,14 +91,27 @@ class LatencyProbe(GripperProbe):
 
     def __init__(self, *, stream: float, measured: NodeProcess) -> None:
         super().__init__("latency_probe", measured)
+        quality = QoSProfile(depth=10)
+        self._targets = self.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", quality)
+        self.node.create_subscription(PointCloud2, "/cloth_sim/points", self._receive_cloud, quality)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, quality)
+        self._close = self.node.create_client(SetBool, "/cloth_sim/gripper/close")
         self._between = 1.0 / stream
         self._random = np.random.default_rng(1)
         self._begun: float | None = None
+        self._next = time.monotonic()
         #: Publication times of targets [s] by position, in order; arrival times of clouds [s] by stamp [ns].
         self.published: dict[tuple[float, ...], float] = {}
         self.arrived: dict[int, float] = {}
         self.particles = 0
         self.diagnostics: dict[str, str] = {}
+
+    def spin_once(self) -> None:
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + self._between * float(self._random.uniform(0.5, 1.5))
+            self._publish(self._target_position())
+        self._executor.spin_once(timeout_sec=max(0.0, min(self._next - now, 0.01)))
 
     def hold(self) -> None:
         """Bring the gripper to the corner and close it.
@@ -162,26 +166,34 @@ class LatencyProbe(GripperProbe):
         """Return the position that a recorded event commands [m]; empty for other events."""
         return tuple(event["position"]) if event["kind"] == "target" else ()
 
-    def on_cloud(self, cloud: PointCloud2) -> None:
+    def _receive_cloud(self, cloud: PointCloud2) -> None:
         now = time.monotonic()
         self.particles = cloud.width * cloud.height
         self.arrived[stamp_ns(cloud)] = now
 
-    def on_diagnostics(self, values: dict[str, str]) -> None:
-        self.diagnostics = values
+    def _receive_diagnostics(self, report: DiagnosticArray) -> None:
+        for status in report.status:
+            if status.name.endswith(": cloth"):
+                self.diagnostics = {entry.key: entry.value for entry in status.values}
 
-    def target_position(self, now: float) -> np.ndarray:
+    def _target_position(self) -> np.ndarray:
         if self._begun is None:
             return CORNER
         angle = _SPEED / _RADIUS * (time.monotonic() - self._begun)
         return CORNER + _RADIUS * np.array([0.0, -np.sin(angle), 1.0 - np.cos(angle)])
 
-    def before_publish(self, position: tuple[float, ...]) -> None:
+    def _publish(self, position: np.ndarray) -> None:
+        message = PoseStamped()
+        p = message.pose.position
+        p.x, p.y, p.z = position.tolist()
+        message.pose.orientation.w = 1.0
+        self._note((p.x, p.y, p.z))
+        self._targets.publish(message)
+
+    def _note(self, position: tuple[float, ...]) -> None:
+        """Note the publication of a target."""
         if self._begun is not None:
             self.published[position] = time.monotonic()
-
-    def pause(self) -> float:
-        return self._between * float(self._random.uniform(0.5, 1.5))
 
 
 class JointStateProbe(LatencyProbe):
@@ -198,12 +210,12 @@ class JointStateProbe(LatencyProbe):
     def commanded_position(self, event: Mapping[str, Any]) -> tuple[float, ...]:
         return tuple(event["poses"][0][:3]) if event["kind"] == "move_obstacles" else ()
 
-    def target_position(self, now: float) -> np.ndarray:
-        return _BALL + super().target_position(now)[1] * np.array([1.0, 0.0, 0.0])
+    def _target_position(self) -> np.ndarray:
+        return _BALL + super()._target_position()[1] * np.array([1.0, 0.0, 0.0])
 
-    def _publish(self, now: float) -> None:
-        x, y, z = self.target_position(now).tolist()
-        self.before_publish((x, y, z))
+    def _publish(self, position: np.ndarray) -> None:
+        x, y, z = position.tolist()
+        self._note((x, y, z))
         self._states.publish(JointState(name=["slide"], position=[x]))
 
 
@@ -234,8 +246,8 @@ def measure(
     seconds: float,
     further: Sequence[str] = (),
     joint_states: bool = False,
-) -> Latencies:
-    """Measure the latencies of a new node.
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Measure the latencies of a new node [s]; return them and their figures.
 
     Args:
         resolution: rows and columns of the cloth.
@@ -256,13 +268,14 @@ def measure(
             probe.hold()
             probe.lead(seconds)
         latencies = probe.latencies(Path(folder))
-    return Latencies(
+    figures = latency_figures(
+        latencies,
         particles=probe.particles,
         rate=rate,
-        seconds=latencies,
         diagnostics=probe.diagnostics,
         joint_states=joint_states,
     )
+    return latencies, figures
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -277,8 +290,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the percentiles of the latencies."""
-    resolution = tuple(options.resolution)
-    common = {"rate": options.rate, "stream": options.stream, "seconds": options.seconds}
-    common["joint_states"] = options.joint_states
+    values = {name: getattr(options, name) for name in ("rate", "stream", "seconds", "joint_states")}
     with ros_context():
-        return measure(resolution=resolution, further=options.parameters, **common).summary()
+        return measure(resolution=tuple(options.resolution), further=options.parameters, **values)[1]

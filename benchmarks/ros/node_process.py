@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node in its own process, and its processor time."""
+"""Node in its own process, its processor time, and a client that waits for it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import attrs
+import numpy as np
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 
 from cloth_sim_ros.session.child_process import child_environment, module_command
 from validation.command import child_process_arguments
@@ -123,3 +127,66 @@ def ros_context() -> Iterator[None]:
         yield
     finally:
         rclpy.try_shutdown()
+
+
+#: Position of the lower corner of the default cloth [m].
+CORNER = np.array([0.5, 0.0, 0.5])
+
+
+class Probe:
+    """Client that processes messages while it waits.
+
+    Args:
+        name: name of its node.
+        measured: the measured node.
+        namespace: namespace of its node.
+    """
+
+    def __init__(self, name: str, measured: NodeProcess, *, namespace: str = "") -> None:
+        self.node = Node(name, namespace=namespace)
+        self._measured = measured
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+
+    def spin_until(self, condition: Callable[[], Any], *, limit: float = PATIENCE) -> None:
+        """Process messages until a condition holds.
+
+        Raises:
+            RuntimeError: if it does not hold within `limit` [s], or the measured node has ended.
+        """
+        end = time.monotonic() + limit
+        while not condition():
+            self._measured.check_alive()
+            if time.monotonic() > end:
+                raise RuntimeError(f"the condition did not hold within {limit:g} s")
+            self.spin_once()
+
+    def spin_once(self) -> None:
+        """Process the messages that have arrived, or wait a moment for one."""
+        self._executor.spin_once(timeout_sec=0.01)
+
+    def request(self, client: Any, request: Any) -> Any:
+        """Return a service's answer.
+
+        Raises:
+            RuntimeError: if the service refuses the request.
+        """
+        future = client.call_async(request)
+        self.spin_until(future.done)
+        answer = future.result()
+        if not getattr(answer, "success", True):
+            raise RuntimeError(f"{client.srv_name}: {answer.message}")
+        return answer
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+
+def stamp_ns(cloud: PointCloud2) -> int:
+    """Return the stamp of a cloud [ns]."""
+    stamp = cloud.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -20,7 +20,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import attrs
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -40,59 +39,36 @@ _UNDER_WAY = 5.0
 _QUIET = 0.5
 
 
-@attrs.frozen(kw_only=True)
-class Stream:
-    """Counts and times of a stream of clouds."""
+def stream_figures(
+    *, rate: float, sent: int, received: int, stamps: np.ndarray, arrivals: np.ndarray, **more: Any
+) -> dict[str, Any]:
+    """Return the figures of a stream of clouds; they are met if each due time had a cloud and each cloud arrived.
 
-    points: int
-    rate: float
-    #: Whether the cloth slept at the end.
-    asleep: bool
-    #: Clouds sent and received.
-    sent: int
-    received: int
-    #: Stamps and arrival times of the clouds of the measured interval [s], (clouds,).
-    stamps: np.ndarray
-    arrivals: np.ndarray
-    #: Late frames by the node's count, and share of the time spent in frames.
-    late: int
-    load: float
-
-    @property
-    def left_out(self) -> int:
-        """Number of due times between first and last stamp without a cloud."""
-        periods = np.rint(np.diff(self.stamps) * self.rate)
-        return int((periods - 1.0).clip(0.0).sum())
-
-    @property
-    def met(self) -> bool:
-        """True if each due time had a cloud and each cloud arrived."""
-        return self.received == self.sent > 0 and self.left_out == 0
-
-    def summary(self) -> dict[str, Any]:
-        """Return plain values for a table."""
-        spacing = 1e3 * np.diff(self.arrivals)
-        low, median, high, highest = np.percentile(spacing, [1.0, 50.0, 99.0, 100.0])
-        return {
-            "points": self.points,
-            "rate_hz": self.rate,
-            "asleep": self.asleep,
-            "sent": self.sent,
-            "received": self.received,
-            "lost": self.sent - self.received,
-            "left_out": self.left_out,
-            "late": self.late,
-            "load": round(self.load, 4),
-            "received_hz": round(1e3 * len(spacing) / float(spacing.sum()), 3),
-            "spacing_p1_ms": round(float(low), 3),
-            "spacing_median_ms": round(float(median), 3),
-            "spacing_p99_ms": round(float(high), 3),
-            "spacing_max_ms": round(float(highest), 3),
-            "met": self.met,
-        }
+    Args:
+        rate: frames a second.
+        sent: number of clouds sent.
+        received: number of clouds received.
+        stamps: stamps of the clouds of the measured interval [s], (clouds,).
+        arrivals: their arrival times [s].
+        more: further figures.
+    """
+    left_out = int((np.rint(np.diff(stamps) * rate) - 1.0).clip(0.0).sum())
+    spacing = 1e3 * np.diff(arrivals)
+    percentiles = zip(("p1", "median", "p99", "max"), np.percentile(spacing, [1.0, 50.0, 99.0, 100.0]), strict=True)
+    return {
+        "rate_hz": rate,
+        "sent": sent,
+        "received": received,
+        "lost": sent - received,
+        "left_out": left_out,
+        **more,
+        "received_hz": round(1e3 * len(spacing) / float(spacing.sum()), 3),
+        **{f"spacing_{name}_ms": round(float(value), 3) for name, value in percentiles},
+        "met": received == sent > 0 and left_out == 0,
+    }
 
 
-def measure(resolution: int, *, seconds: float, rate: float, moving: bool = False) -> Stream:
+def measure(resolution: int, *, seconds: float, rate: float, moving: bool = False) -> dict[str, Any]:
     """Run a node with `resolution` particles a side for some time [s] at a rate [Hz].
 
     Raises:
@@ -118,7 +94,7 @@ def measure(resolution: int, *, seconds: float, rate: float, moving: bool = Fals
 
 def _stream(
     cloth: ClothNode, executor: SingleThreadedExecutor, file: Path, *, seconds: float, rate: float, moving: bool
-) -> Stream:
+) -> dict[str, Any]:
     def spin(condition: Callable[[], bool]) -> None:
         while not condition():
             executor.spin_once(timeout_sec=0.1)
@@ -158,7 +134,7 @@ def _stream(
     counted = lines[lines[:, 1] >= 1e9 * begun]
     if len(counted) < 2:
         raise RuntimeError(f"of {sent} clouds {len(lines)} were received, too few to tell a rate")
-    return Stream(
+    return stream_figures(
         points=cloth.simulation.state.particle_count,
         rate=rate,
         asleep=cloth.simulation.asleep,
@@ -168,7 +144,7 @@ def _stream(
         stamps=(counted[:, 0] - lines[0, 0]) * 1e-9,
         arrivals=counted[:, 1] * 1e-9,
         late=late,
-        load=load,
+        load=round(load, 4),
     )
 
 
@@ -188,10 +164,9 @@ def _wait_until_quiet(received: Callable[[], int], *, enough: int | None = None)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    sides = "particles a side (default: 128 256, 16 and 65 thousand)"
-    parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256], metavar="N", help=sides)
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each (default: 30)")
-    parser.add_argument("--rate", type=float, default=60.0, help="frames a second (default: 60)")
+    parser.add_argument("--resolutions", type=int, nargs="+", default=[128, 256], metavar="N", help="particles a side")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of each")
+    parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
     parser.add_argument("--moving", action="store_true", help="a soft cloth that falls, not one at rest")
 
 
@@ -202,4 +177,4 @@ def figures(options: argparse.Namespace) -> list[dict[str, Any]]:
         raise ValueError(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
     common = {"seconds": options.seconds, "rate": options.rate, "moving": options.moving}
     with ros_context():
-        return [measure(resolution, **common).summary() for resolution in options.resolutions]
+        return [measure(resolution, **common) for resolution in options.resolutions]

@@ -16,10 +16,10 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import attrs
 import numpy as np
 
 from benchmarks.ros.node_process import module_process, node_process
+from validation.command import at_least
 
 #: Time for which the viewer records, for the size of a frame [s].
 _RECORDED = 2.0
@@ -28,19 +28,10 @@ _CLOTH = "/world/cloth"
 GOAL = 3.0
 
 
-@attrs.frozen(kw_only=True)
-class FirstSurface:
-    """Figures of one start of the viewer."""
+def measure_viewer(target: str, folder: Path) -> tuple[float, float, int]:
+    """Start the viewer of a node; return the time to its first surface [s], and sizes [bytes].
 
-    #: Wall time from its start to the first surface in the file [s].
-    wall: float
-    #: Size of a frame of the surface, and of its triangles, which are sent once [bytes].
-    frame_bytes: float
-    triangle_bytes: int
-
-
-def measure_viewer(target: str, folder: Path) -> FirstSurface:
-    """Start the viewer of a node, and return its figures.
+    The sizes are those of a frame of the surface, and of its triangles, which are sent once.
 
     Raises:
         RuntimeError: if it ends, or writes no surface.
@@ -53,7 +44,7 @@ def measure_viewer(target: str, folder: Path) -> FirstSurface:
         wall = time.monotonic() - begun
         time.sleep(_RECORDED)
     n_frames, n_bytes, triangle_bytes = _surface_sizes(out)
-    return FirstSurface(wall=wall, frame_bytes=n_bytes / n_frames, triangle_bytes=triangle_bytes)
+    return wall, n_bytes / n_frames, triangle_bytes
 
 
 def _surface_sizes(path: Path) -> tuple[int, int, int]:
@@ -82,24 +73,22 @@ def _surface_sizes(path: Path) -> tuple[int, int, int]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--starts", type=int, default=5, help="starts of the viewer (default: 5)")
+    parser.add_argument("--starts", type=at_least(1), default=5, help="starts of the viewer")
     parser.add_argument("--ros", nargs=argparse.REMAINDER, default=[], help="further ROS arguments of the cloth")
 
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the figures; they are met if the median time is below the goal."""
-    if options.starts < 1:
-        raise ValueError(f"--starts is {options.starts}; at least 1 is needed")
     name = f"viewed_{os.getpid()}"
     with tempfile.TemporaryDirectory() as folder, node_process(["-r", f"__node:={name}", *options.ros]) as node:
         node.wait_for_output("wall time, grippers")
         starts = [measure_viewer(f"/{name}", Path(folder)) for _ in range(options.starts)]
-    median = float(np.median([start.wall for start in starts]))
+    median = float(np.median([wall for wall, _, _ in starts]))
     return {
-        "first_surface_s": [round(start.wall, 3) for start in starts],
+        "first_surface_s": [round(wall, 3) for wall, _, _ in starts],
         "first_surface_median_s": round(median, 3),
-        "frame_bytes": round(starts[-1].frame_bytes),
-        "triangle_bytes_once": starts[-1].triangle_bytes,
+        "frame_bytes": round(starts[-1][1]),
+        "triangle_bytes_once": starts[-1][2],
         "load_average": round(os.getloadavg()[0], 2),
         "goal_s": GOAL,
         "met": median < GOAL,

@@ -1,13 +1,15 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step time and memory of one sheet, in its own process.
+"""Time per particle and step, and memory, from 10^3 to 10^6 particles.
 
-`python -m benchmarks.scale.sheet grid 1000 3.0` prints JSON. Its arguments are kind, particles a side, timing [s].
 Each sheet has its own process, because a process seldom returns memory to the system.
+`python -m benchmarks.scale.sheet grid 1000 3.0` is such a process and prints JSON. Its arguments are kind, particles a
+side, timing [s].
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import gc
 import json
@@ -19,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
+from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.simulation import Simulation
+from validation.command import at_least, run_module
+from validation.report import Report, Table
 
 #: Steps per frame: enough to make the cost per frame negligible at any size.
 STEPS = 40
@@ -33,7 +36,10 @@ _MESH = "sheet.ply"
 def measure_sheet(kind: str, resolution: int, seconds: float) -> dict[str, Any]:
     """Return the figures of one sheet, which are timed for some seconds."""
     # A warm-up sheet, large enough for all threads, excludes the memory of the code from the measurement.
-    _frames(_scene(kind, _WARM), frames=3)
+    warm = Simulation(_scene(kind, _WARM))
+    for _ in range(3):
+        warm.advance()
+    del warm
     gc.collect()
     _forget_peak()
     before = _peak()
@@ -67,29 +73,15 @@ def _scene(kind: str, resolution: int) -> Scene:
 
 def _ply(resolution: int) -> bytes:
     """Return a square sheet as PLY, with vertices and triangles in random order."""
+    import trimesh
+
     random = np.random.default_rng(1)
-    line = np.linspace(-0.5, 0.5, resolution)
-    points = np.zeros((resolution, resolution, 3), dtype="<f4")
-    points[..., 0], points[..., 1] = line[None, :], line[:, None]
-    count = resolution**2
-    order = random.permutation(count)
-    shuffled = np.empty((count, 3), dtype="<f4")
-    shuffled[order] = points.reshape(-1, 3)
-    triangles = order[grid_triangles(resolution, resolution, "alternating")]
-    faces = np.zeros(len(triangles), dtype=[("count", "u1"), ("ends", "<i4", 3)])
-    faces["count"], faces["ends"] = 3, random.permutation(triangles)
-    head = (
-        f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    return head.encode() + shuffled.tobytes() + faces.tobytes()
-
-
-def _frames(scene: Scene, *, frames: int) -> None:
-    simulation = Simulation(scene)
-    for _ in range(frames):
-        simulation.advance()
+    line, order = np.linspace(-0.5, 0.5, resolution), random.permutation(resolution**2)
+    points = np.empty((resolution**2, 3))
+    points[order] = np.stack([np.tile(line, resolution), np.repeat(line, resolution), np.zeros(resolution**2)], axis=1)
+    triangles = random.permutation(order[grid_triangles(resolution, resolution, "alternating")])
+    content: bytes = trimesh.Trimesh(points, triangles, process=False).export(file_type="ply")
+    return content
 
 
 def _measure(simulation: Simulation, *, seconds: float) -> dict[str, Any]:
@@ -107,12 +99,8 @@ def _measure(simulation: Simulation, *, seconds: float) -> dict[str, Any]:
     count = simulation.state.particle_count
     return {
         "particles": count,
-        "frames": len(walls),
-        "evaluations": statistics.median(steps),
         "frame_s": statistics.median(walls),
-        "least_frame_s": min(walls),
         "ns": 1e9 * statistics.median(walls) / statistics.median(steps) / count,
-        "least_ns": 1e9 * min(walls) / statistics.median(steps) / count,
     }
 
 
@@ -143,6 +131,69 @@ def _peak() -> int:
     """Return the peak memory of the process since the reset [bytes]."""
     (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
     return 1024 * int(line.split()[1])
+
+
+#: Largest ratio of the time per particle and step to that of a sheet of about 10^4 particles.
+MAX_TIME_RATIO = 2.0
+#: Largest ratio of memory to the sum of state, one set of forces and the scene's tables.
+MAX_MEMORY_RATIO = 2.0
+#: Particles a side: 10^3 to 10^6.
+SIZES = (32, 64, 100, 180, 320, 560, 1000)
+_LARGE = 100_000
+KINDS = ("grid", "mesh")
+_MEGA = 1e6
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="of sheets")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[*SIZES], metavar="N", help="particles a side")
+    parser.add_argument("--seconds", type=float, default=3.0, help="timing of each sheet [s]")
+    parser.add_argument("--rounds", type=at_least(1), default=2, help="processes for each sheet; the fastest counts")
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure all sheets, each in separate processes."""
+    report = Report("From a thousand particles to a million")
+    columns = ["sheet", "particles", "build s", "frame ms", "ns a particle and step", "to 10^4"]
+    times = Table("Time", columns)
+    columns = ["sheet", "particles", "most while built", "most while run", "state", "forces", "tables"]
+    columns.append("run to their sum")
+    memory = Table("Memory, MB", columns)
+    for kind in options.kinds:
+        sheets = _sheets(kind, options, report)
+        if not sheets:
+            continue
+        reference = min(sheets, key=lambda sheet: abs(sheet["particles"] - 1e4))
+        for sheet in sheets:
+            ratio = sheet["ns"] / reference["ns"]
+            row = [kind, sheet["particles"], sheet["build_s"], 1e3 * sheet["frame_s"], sheet["ns"], ratio]
+            times.rows.append(row)
+            sizes = [sheet[f"{quantity}_bytes"] for quantity in ("build_peak", "peak", "state", "force", "table")]
+            share = sizes[1] / sum(sizes[2:])
+            memory.rows.append([kind, sheet["particles"], *(size / _MEGA for size in sizes), share])
+            if sheet["particles"] >= _LARGE and ratio > MAX_TIME_RATIO:
+                report.fail(f"{kind} of {sheet['particles']}: {ratio:.2f} times the time of 10^4")
+            if sheet["particles"] >= _LARGE and share > MAX_MEMORY_RATIO:
+                report.fail(f"{kind} of {sheet['particles']}: {share:.2f} times the memory of what it must hold")
+    report.tables += [times, memory]
+    report.note("each sheet in separate processes, sizes in turns; shortest median frame of several")
+    report.note("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
+    return report
+
+
+def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict[str, Any]]:
+    best: dict[int, dict[str, Any]] = {}
+    for _ in range(options.rounds):
+        for size in options.sizes:
+            done = run_module("benchmarks.scale.sheet", kind, str(size), str(options.seconds))
+            if done.returncode:
+                last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
+                report.fail(f"{kind}, {size} a side, could not be run: {last}")
+                continue
+            figures = json.loads(done.stdout.splitlines()[-1])
+            best[size] = min(figures, best.get(size, figures), key=lambda sheet: sheet["ns"])
+    return [best[size] for size in sorted(best)]
 
 
 if __name__ == "__main__":

@@ -31,20 +31,14 @@ _TOLERANCE, _CHECK = 1e-10, 1e-9
 class CurtainRun:
     """Run of a scene as shipped."""
 
-    #: Wall time of each frame [s].
-    frame_times: list[float]
+    #: Wall time of the frames, without set-up [s].
+    seconds: float
     #: Final positions [m], shape (3, n).
     positions: Array
     #: Force evaluations of all frames.
     evaluations: int
-    #: Names of the integrators used, and reason of the last choice.
-    integrators: tuple[str, ...]
+    #: Reason of the last choice of the integrator.
     reason: str
-
-    @property
-    def seconds(self) -> float:
-        """Wall time of the frames, without set-up [s]."""
-        return sum(self.frame_times)
 
 
 def scored(scene: Callable[[int], Problem], resolution: int) -> Problem:
@@ -64,18 +58,17 @@ def trusted(problem: Problem) -> Reference:
     return reference(problem, tolerance=_TOLERANCE, check=_CHECK)
 
 
-def run(problem: Problem, name: str = "auto", *, tolerance: float | None, one_core: bool = False) -> CurtainRun:
-    """Run a scene frame by frame by an integrator, as a simulation does, on all allowed cores or on one."""
-    frame_times, evaluations, reason, names = list[float](), 0, "", dict[str, None]()
+def run(problem: Problem, *, tolerance: float | None, one_core: bool = False) -> CurtainRun:
+    """Run a scene frame by frame, as a simulation does, on all allowed cores or on one."""
+    evaluations, reason = 0, ""
     with cores(one_core=one_core):
         plan, state = problem.build()
-        integrator = make_integrator(name, tolerance=tolerance)
+        integrator = make_integrator("auto", tolerance=tolerance)
+        begin = time.perf_counter()
         for frame in range(problem.frames):
-            begin = time.perf_counter()
             done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
-            frame_times.append(time.perf_counter() - begin)
-            evaluations, reason, names[done.integrator] = evaluations + done.evaluations, done.reason, None
-    return CurtainRun(frame_times, state.x, evaluations, tuple(names), reason)
+            evaluations, reason = evaluations + done.evaluations, done.reason
+        return CurtainRun(time.perf_counter() - begin, state.x, evaluations, reason)
 
 
 @contextlib.contextmanager

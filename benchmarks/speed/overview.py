@@ -1,26 +1,122 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speed of the engine: kernels, plans, scene C, a stiff sheet, threads.
+"""Speed of the engine: time per spring against hand-vectorised C, scene C, and the gain of a second thread.
 
-Times per spring are compared with hand-vectorised C. Other tables list steps with further forces, the real-time factors
-of scene C and of a stiff sheet, and the gain of a second thread.
+The scene of times per spring is the square sheet of `raw_sheet`, six damped families, gravity and drag.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import statistics
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
 
-import attrs
 import numpy as np
-from support.problems import curtain, hung
-from support.reference_kernel import find_compiler
+from support.problems import PERIOD, curtain
+from support.raw_sheet import RawSheet
+from support.reference_kernel import ReferenceKernel, find_compiler
 
 from benchmarks.speed import curtain as speed_curtain
-from benchmarks.speed import stiff as speed_stiff
-from benchmarks.speed.kernels import kernel_time, thread_gain
-from benchmarks.speed.plans import PlanTime, bending_time, force_times, grip_time, mesh_time
+from benchmarks.timing import repeated, time_interleaved
+from cloth_sim_ros import Plan
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.model.forces.force import Array
 from validation.report import Report
+
+#: Step too short to move anything [s].
+_STILL = 1e-9
+#: Smallest difference in steps of the two runs whose time difference gives a step's time.
+_MIN_STEPS = 40
+#: Steps of the shorter one.
+_FEW_STEPS = 20
+#: Particles times steps in one turn of a candidate: a few milliseconds.
+_UPDATES_A_TURN = 1_000_000
+#: Step as a share of the stability limit in the runs whose bits are compared.
+_SHARE = 0.9
+
+
+#: Columns of times per spring. `C forces` is one evaluation of the C kernel, `whole step` a step of the engine without
+#: the cost per run, `to C` their ratio, the median over rounds.
+KERNEL_COLUMNS = ["N", "precision", "C forces", "whole step", "to C"]
+#: Columns of the gain of a second thread in a frame of 1/60 s. `two sheets apart` is the gain in throughput of two
+#: independent sheets on two threads over one sheet on one thread.
+THREAD_COLUMNS = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"]
+
+
+def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: float) -> list[Any]:
+    """Time the engine on one core, on a sheet of `resolution` x `resolution` particles; return `KERNEL_COLUMNS`."""
+    sheet = RawSheet(resolution=resolution, drag=1.0)
+    plan, (x, v) = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = max(_UPDATES_A_TURN // resolution**2, _MIN_STEPS)
+    lengths = {"few": _FEW_STEPS, "many": _FEW_STEPS + steps}
+    candidates: dict[str, Callable[[], object]] = {
+        name: steps_runner(plan, (x, v), count, single_precision=single) for name, count in lengths.items()
+    }
+    if compiler is not None:
+        kernel = ReferenceKernel(sheet.sheet(), dtype, compiler=compiler)
+        kernel.set_state(x, v)
+        candidates["c"] = lambda: kernel.evaluate(steps)
+    turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
+    unit = 1e9 / (steps * len(sheet.sheet().pairs))
+    whole = turns.differences("many", "few")
+    step = unit * statistics.median(whole)
+    c_cells: list[Any] = ["-", "-"]
+    if compiler is not None:
+        pairs = zip(whole, turns.seconds["c"], strict=True)
+        c_cells = [unit * turns.median("c"), statistics.median(engine / c for engine, c in pairs)]
+    return [resolution, np.dtype(dtype).name, c_cells[0], step, c_cells[1]]
+
+
+def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> list[Any]:
+    """Time frames of scene C with stable steps on one thread and on two; return `THREAD_COLUMNS`.
+
+    Each call includes the start of the second thread.
+    """
+    sheet = RawSheet(resolution=resolution, drag=1.0)
+    plan, start = sheet.plan(sheet.index[0]), _start(sheet)
+    single = np.dtype(dtype) == np.float32
+    steps = int(np.ceil(PERIOD / (_SHARE * leapfrog_limit(*plan.spectral_bounds(start[0])))))
+    # Enough frames per turn for some milliseconds.
+    frames = max(_UPDATES_A_TURN // (steps * resolution**2), 1)
+
+    def repeat(which: Plan, threads: int) -> Callable[[], None]:
+        return repeated(steps_runner(which, start, steps, single_precision=single, threads=threads), frames)
+
+    ends = []
+    for threads in (1, 2):
+        (run,), _ = plan.runs(0.0, 3 * PERIOD, start, [3 * steps], single_precision=single, threads=threads)
+        ends.append((run.x.tobytes(), run.v.tobytes()))
+    independent_plans = [sheet.plan(sheet.index[0]) for _ in range(2)]
+    with ThreadPoolExecutor(len(independent_plans)) as pool:
+
+        def apart() -> None:
+            for done in [pool.submit(repeat(independent_plan, 1)) for independent_plan in independent_plans]:
+                done.result()
+
+        runs = {"1": repeat(plan, 1), "2": repeat(plan, 2), "apart": apart}
+        turns = time_interleaved(runs, seconds=seconds)
+    times = [1e3 * turns.median(name) / frames for name in ("1", "2")]
+    gains = [turns.ratio("1", "2"), 2.0 * turns.ratio("1", "apart")]
+    return [resolution, np.dtype(dtype).name, steps, *times, *gains, "yes" if ends[0] == ends[1] else "no"]
+
+
+def steps_runner(
+    plan: Plan, start: tuple[Array, Array], steps: int, *, single_precision: bool, threads: int = 1
+) -> Callable[[], object]:
+    """Return a function that takes a number of steps of negligible duration, which cost as much as others."""
+    return partial(plan.runs, 0.0, steps * _STILL, start, [steps], single_precision=single_precision, threads=threads)
+
+
+def _start(sheet: RawSheet) -> tuple[Array, Array]:
+    x = np.ascontiguousarray(sheet.flat(hung=False).T)
+    return x, np.zeros_like(x)
+
 
 #: Largest ratio of a whole step to the forces of the C kernel.
 MAX_KERNEL_RATIO = 1.0
@@ -30,10 +126,6 @@ MIN_CURTAIN_SPEEDS = {32: 25.0, 64: 8.0, 128: 1.5}
 MIN_THREAD_GAIN, THREADS_FROM = 1.7, 96
 #: Tolerances of scene C [m]: the loosest with an error of at most 1 mm counts. The first is the default.
 TOLERANCES = (1e-3, 1e-4)
-#: Grids for bending models and for grippers, particles a side.
-PLAN_GRID = 64
-#: Factor of the moduli of scene H, and its number of frames: 0.5 s.
-STIFFNESS, STIFF_FRAMES = 1000.0, 30
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,9 +134,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {parts}")
     for name, sizes, text in (
         ("--kernels", [32, 64, 96, 128, 256, 512], "sheets for ns per spring, particles a side"),
-        ("--meshes", [1024, 4096, 16384, 100_000], "meshes, particles"),
         ("--curtains", [*speed_curtain.SCORED_FRAMES], "sheets of scene C"),
-        ("--stiff", [32], "sheets of scene H with moduli x 1000"),
         ("--threads", [64, 96, 128, 256], "sheets for two threads against one"),
     ):
         parser.add_argument(name, type=int, nargs="+", metavar="N", default=sizes, help=text)
@@ -53,7 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
-    report = Report("Speed", "python -m benchmarks speed")
+    report = Report("Speed")
     for part in options.only:
         PARTS[part](options, report)
     report.note(
@@ -67,33 +157,14 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
     compiler = find_compiler()
     if compiler is None:
         report.note("no C compiler here ($CC, cc, gcc, clang): the engine is timed without a comparison")
-    columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
-    table = report.add_table("Nanoseconds per spring, one core", columns)
+    table = report.add_table("Nanoseconds per spring, one core", KERNEL_COLUMNS)
     for dtype in (np.float32, np.float64):
         for resolution in options.kernels:
             row = kernel_time(resolution, dtype, compiler=compiler, seconds=options.seconds)
-            known = ["-", row.step, "-"] if row.c is None else [row.c, row.step, row.ratio]
-            alone = "-" if row.accelerations is None else row.accelerations
-            table.rows.append([resolution, row.precision, *known, alone])
-            if row.ratio is not None and row.ratio > MAX_KERNEL_RATIO:
-                target = f"target {MAX_KERNEL_RATIO:g}"
-                report.fail(f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; {target}")
-
-
-def _plans(options: argparse.Namespace, report: Report) -> None:
-    columns = ["scene", "particles", "a step", "estimated", "to the estimate"]
-    table = report.add_table("Whole runs, ns per particle and step, one core", columns)
-    rows: list[tuple[str, PlanTime]] = []
-    for count in options.meshes:
-        rows.append(("mesh, vertices in random order", mesh_time(count, seconds=options.seconds)))
-    for bending in ("axial", "opposite", "crossed", "altitude", "quadratic"):
-        rows.append((f"grid, bending {bending}", bending_time(PLAN_GRID, bending, seconds=options.seconds)))
-    for turning in (False, True):
-        scene = f"grid, gripper that {'moves and turns' if turning else 'moves'}"
-        rows.append((scene, grip_time(PLAN_GRID, turning=turning, seconds=options.seconds)))
-    rows += [(f"grid, {label}", row) for label, row in force_times(PLAN_GRID, seconds=options.seconds)]
-    for scene, row in rows:
-        table.rows.append([scene, row.particles, row.step, row.estimate, row.step / row.estimate])
+            table.rows.append(row)
+            if compiler is not None and row[-1] > MAX_KERNEL_RATIO:
+                target = f"{row[-1]:.2f} times C; target {MAX_KERNEL_RATIO:g}"
+                report.fail(f"a step at N = {resolution}, {row[1]}: {target}")
 
 
 def _curtains(options: argparse.Namespace, report: Report) -> None:
@@ -118,44 +189,23 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
             report.fail(f"curtain N = {resolution}: {best.factor:.3g} x real time; target {min_speed:g}")
 
 
-def _stiff(options: argparse.Namespace, report: Report) -> None:
-    columns = ["N", "stepped", "integrator", "x real time", "frame ms", "slowest ms", "frames late", "error m"]
-    table = report.add_table(f"Scene H, moduli x {STIFFNESS:g}, tolerance {speed_stiff.TOLERANCE:g} m, 0.5 s", columns)
-    for resolution in options.stiff:
-        scene = attrs.evolve(hung(resolution, STIFFNESS), frames=STIFF_FRAMES)
-        known = speed_curtain.trusted(scene)
-        for speed in speed_stiff.stiff_speeds(scene, known, seconds=options.seconds):
-            frames = 1e3 * speed.frames
-            row = [resolution, speed.name, ", ".join(speed.integrators), speed.factor, float(np.median(frames))]
-            table.rows.append([*row, float(frames.max()), speed.late, speed.error])
-            if speed.name != "as shipped":
-                continue
-            if speed.factor < 1.0:
-                report.fail(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; target 1")
-            if speed.error > speed_stiff.TOLERANCE:
-                report.fail(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
-        report.note(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
-
-
 def _threads(options: argparse.Namespace, report: Report) -> None:
     if len(os.sched_getaffinity(0)) < 2:
         report.note("one core alone is allowed here: two threads are not timed")
         return
-    columns = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"]
-    table = report.add_table("A frame of 1/60 s on two threads against one", columns)
+    table = report.add_table("A frame of 1/60 s on two threads against one", THREAD_COLUMNS)
     for dtype in (np.float32, np.float64):
         for resolution in options.threads:
             row = thread_gain(resolution, dtype, seconds=options.seconds)
-            cells = [resolution, row.precision, row.steps, 1e3 * row.one_thread, 1e3 * row.two_threads]
-            table.rows.append([*cells, row.gain, row.most, "yes" if row.same_bits else "no"])
-            where = f"two threads at N = {resolution}, {row.precision}"
-            report.require(row.same_bits, f"{where}: other bits than one thread")
-            if resolution >= THREADS_FROM and row.gain < MIN_THREAD_GAIN:
-                report.fail(f"{where}: {row.gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {row.most:.2f})")
+            table.rows.append(row)
+            (gain, most, same_bits), where = row[-3:], f"two threads at N = {resolution}, {row[1]}"
+            report.require(same_bits == "yes", f"{where}: other bits than one thread")
+            if resolution >= THREADS_FROM and gain < MIN_THREAD_GAIN:
+                report.fail(f"{where}: {gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {most:.2f})")
     report.note(
         "two sheets apart: gain in throughput of two independent sheets on two threads over one sheet on one thread, "
         "the limit of the machine"
     )
 
 
-PARTS = {"kernels": _kernels, "plans": _plans, "curtain": _curtains, "stiff": _stiff, "threads": _threads}
+PARTS = {"kernels": _kernels, "curtain": _curtains, "threads": _threads}

@@ -12,20 +12,22 @@ import argparse
 import math
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import attrs
 import numpy as np
 
-from benchmarks.speed.cost_additivity import DEFAULT_CLOTH
 from benchmarks.speed.curtain import cores
+from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.scene.parameters import parameter_file
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
+from validation.command import at_least
 from validation.report import Report, Table, print_progress
 
+#: The cloth that is carried.
+DEFAULT_CLOTH = Path(__file__).resolve().parents[2] / "config" / "cloth_sim.yaml"
 #: Frames before the timed ones, in which the gripper grasps and step control settles.
 _WARM = 10
 #: Radius [m] and angular speed [rad/s] of the circle.
@@ -64,20 +66,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--moduli", type=float, nargs="+", default=[1e2, 1e3, 1e4, 1e5], help="of stretch [N/m]")
     parser.add_argument("--choices-size", type=int, default=30, metavar="N", help="particles a side, second table")
     parser.add_argument("--choices-moduli", type=float, nargs="*", default=[1e3, 1e5], help="of stretch, second table")
-    parser.add_argument("--frames", type=int, default=20, help="timed frames of each cloth")
+    parser.add_argument("--frames", type=at_least(1), default=20, help="timed frames of each cloth")
     rounds = "runs of each cloth; the fastest counts; fewer of slow ones"
-    parser.add_argument("--rounds", type=int, default=3, help=rounds)
+    parser.add_argument("--rounds", type=at_least(1), default=3, help=rounds)
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure all cloths.
-
-    Raises:
-        ValueError: if there are no frames or no rounds.
-    """
-    if min(options.frames, options.rounds) < 1:
-        raise ValueError("--frames and --rounds must be at least 1")
-    report = Report("Real time by particles and stiffness", "python -m benchmarks real-time")
+    """Measure all cloths."""
+    report = Report("Real time by particles and stiffness")
     factors = Table("Real-time factor, one core", ["particles", *(f"{modulus:g} N/m" for modulus in options.moduli)])
     evaluations = Table("Force evaluations a frame", factors.columns)
     for size in options.sizes:
@@ -85,9 +81,9 @@ def run(options: argparse.Namespace) -> Report:
         period = Scene.from_parameters(_values(size, options.moduli[0])).period
         factors.rows.append([f"{size} x {size}", *(period / cost.seconds for cost in costs)])
         evaluations.rows.append([f"{size} x {size}", *(cost.evaluations for cost in costs)])
-        columns = ["stretch N/m", "integrator", "tolerance m", "frame ms", "evaluations", "estimate m", "flagged"]
-        columns += ["stepped", "limit"]
-        choices = Table(f"Tolerance and integrator, {options.choices_size} x {options.choices_size}", columns)
+    columns = ["stretch N/m", "integrator", "tolerance m", "frame ms", "evaluations", "estimate m", "flagged"]
+    columns += ["stepped", "limit"]
+    choices = Table(f"Tolerance and integrator, {options.choices_size} x {options.choices_size}", columns)
     for modulus in options.choices_moduli:
         for integrator, tolerance in CHOICES:
             values = _values(options.choices_size, modulus) | {"integrator": integrator}

@@ -21,7 +21,7 @@ MOVED = {
         "contact": "contact",
         "batch": "batch",
         "studies": "studies",
-        "adds": "cost-additivity",
+        "adds": "feature-cost",
         "skip": "feature-cost",
     },
     "validate": {

@@ -5,7 +5,7 @@
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.batch import cloths as batch_cloths
+from benchmarks.batch import throughput
 from benchmarks.batch import throughput as batch
 
 pytest.importorskip("gymnasium")
@@ -32,11 +32,11 @@ def test_batch_command_reports_missed_targets(capsys, monkeypatch):
 def test_batch_command_refuses_a_single_cloth(capsys):
     with pytest.raises(SystemExit):
         main([*SMALL, "--envs", "1"])
-    assert "--envs is 1; it must be at least 2" in capsys.readouterr().err
+    assert "--envs: 1; it must be an integer of at least 2" in capsys.readouterr().err
 
 
 def test_carried_cloths_are_awake_and_grasped():
-    with batch_cloths.CarriedCloths(3, 6) as carried:
+    with throughput.CarriedCloths(3, 6) as carried:
         for snapshot in carried.cloths.snapshots:
             assert snapshot.state.v.any()
             assert len(snapshot.state.memory["grip.particles"])

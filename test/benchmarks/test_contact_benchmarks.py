@@ -6,14 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from support import contact_starts as starts
 from support.obstacle_sheets import FRAME, SHEET, Capstan
 
 from benchmarks.__main__ import main
-from benchmarks.contact import obstacles as contact
-from benchmarks.contact import pinch as contact_pinch
-from benchmarks.contact import recovery as contact_starts
-from benchmarks.contact import self_contact as contact_self
+from benchmarks.contact import contact
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp
@@ -43,44 +39,17 @@ def test_contact_command_reports_missed_targets(capsys, monkeypatch):
     assert "NOT MET" in capsys.readouterr().out
 
 
-def test_pinch_holds_the_weight_and_reports_missed_targets(capsys, monkeypatch):
-    assert main(["contact", "--parts", "pinch", "--drift", "0.5"]) == 0
-    monkeypatch.setattr(contact_pinch, "FORCE_MARGIN", -0.01)  # Swaps the expectations of sliding and holding.
-    monkeypatch.setattr(contact_pinch, "MAX_EXCURSION", 0.0)
-    assert main(["contact", "--parts", "pinch", "--drift", "0.1"]) == 1
-    output = capsys.readouterr().out
-    assert "NOT MET: mu 0.5, grid of 28: it slides" in output
-    assert "NOT MET: carried up, grid 4: gives by" in output
-
-
-def test_recovery_is_slow_and_reports_missed_targets(capsys, monkeypatch):
-    monkeypatch.setattr(contact_starts, "GAPS", (0.3,))
-    monkeypatch.setattr(contact_starts, "PRESSES", (1e-3,))
-    monkeypatch.setattr(starts, "RATE", 60)
-    situations = {"start": (contact_starts.start, ("plane", "fold")), "added": (contact_starts.added, ("sphere",))}
-    monkeypatch.setattr(contact_starts, "SITUATIONS", situations)
-    monkeypatch.setattr(contact_starts, "PRESSED_ON", ("plane",))
-    assert main(["contact", "--parts", "starts"]) == 0
-    for name in ("FASTEST", "HIGHEST", "OPEN"):
-        monkeypatch.setattr(contact_starts, name, 0.0)
-    assert main(["contact", "--parts", "starts"]) == 1
-    output = capsys.readouterr().out
-    assert "NOT MET: start, plane, 0.6 mm: a particle moves at" in output
-    assert "NOT MET: released on plane: a corner rises" in output
-    assert "NOT MET: start, plane: the energy balance leaves" in output
-
-
 def test_fold_grippers_close_and_open():
-    events = contact_self.fold_events()
+    events = contact.fold_events()
     grasps = [(frame, event.closed) for frame in range(300) for event in events.at(frame) if isinstance(event, Grasp)]
     # At 1 s and at 4.8 s; both grippers each.
     assert grasps == [(59, True), (59, True), (287, False), (287, False)]
 
 
 def test_self_contact_cost_is_reported(capsys, monkeypatch):
-    monkeypatch.setattr(contact_self, "THICKNESSES", {12: 4e-3})
-    monkeypatch.setattr(contact_self, "HANGING_RESOLUTIONS", (6,))
-    monkeypatch.setattr(contact_self, "SEPARATED_FRAMES", 3)
+    monkeypatch.setattr(contact, "THICKNESSES", {12: 4e-3})
+    monkeypatch.setattr(contact, "HANGING_RESOLUTIONS", (6,))
+    monkeypatch.setattr(contact, "SEPARATED_FRAMES", 3)
     # The cost depends on the machine.
     main(["contact", "--parts", "folds", "hanging", "separated", "--fold", "0.2", "--seconds", "0.1"])
     out = capsys.readouterr().out
@@ -91,7 +60,7 @@ def test_self_contact_cost_is_reported(capsys, monkeypatch):
 
 def test_fold_record_finds_the_worst_second():
     seconds = [0.01] * 100 + [0.05] * 60 + [0.02] * 40
-    folded = contact_self.FoldRecord(seconds, [1] * 200, [0] * 200, 900)
+    folded = contact.FoldRecord(seconds, [1] * 200, [0] * 200, 900)
     assert folded.worst == 100
     assert folded.speed(folded.worst, 60) == pytest.approx(1.0 / 3.0)
     assert folded.speed() == pytest.approx(200.0 / 60.0 / 4.8)

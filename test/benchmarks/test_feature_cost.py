@@ -8,7 +8,7 @@ from support.feature_variants import BARE, FORCES, swinging
 
 from benchmarks.__main__ import COMMANDS, main
 from benchmarks.speed.curtain import cores
-from benchmarks.speed.hand_written_loop import HandWrittenLoop
+from benchmarks.speed.feature_cost import HandWrittenLoop
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 

@@ -19,15 +19,11 @@ from support.problems import PERIOD
 
 from benchmarks.__main__ import main
 from benchmarks.peers import contact as peers_contact
-from benchmarks.peers import contact_measures
-from benchmarks.peers import contact_runs as peer_contact
 from benchmarks.peers import contact_scenes as peer_scenes
 from benchmarks.peers import environment as peer_environment
-from benchmarks.peers import jobs as peer_jobs
-from benchmarks.peers.contact import ContactResult
-from benchmarks.peers.contact_runs import EngineRecording
+from benchmarks.peers.contact import ContactResult, EngineRecording
 from benchmarks.peers.contact_scenes import ContactScene
-from benchmarks.peers.jobs import Peer, PeerFailed
+from benchmarks.peers.environment import Peer, PeerFailed
 from benchmarks.peers.solvers import CONTACT_PEERS
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.sheets.grid import grid_triangles
@@ -119,24 +115,24 @@ def test_ball_depth_includes_triangle_interiors() -> None:
     angles = 2.0 * np.pi * np.arange(3) / 3.0
     deep = np.stack([around * np.cos(angles), around * np.sin(angles), np.full(3, height)], axis=1)
     outside = deep + np.array([0.0, 0.0, 0.1])
-    depth = contact_measures.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
+    depth = peers_contact.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
     assert depth == pytest.approx(0.004)
-    assert contact_measures.depth_in_ball(np.array([outside]), TRIANGLE, 0.1) == 0.0
+    assert peers_contact.depth_in_ball(np.array([outside]), TRIANGLE, 0.1) == 0.0
     # Without area the nearest edge counts, here its far end. A triangle that is a point is ignored.
     flat = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 0.15], [0.0, 0.0, 0.09]])
     both = np.array([[0, 1, 2], [0, 0, 0]])
-    assert contact_measures.depth_in_ball(flat[None], both, 0.1) == pytest.approx(0.01)
+    assert peers_contact.depth_in_ball(flat[None], both, 0.1) == pytest.approx(0.01)
 
 
 def test_depth_is_of_the_worst_frame() -> None:
     table = Obstacle(name="table", shape="plane")
     frames = np.zeros((3, 2, 3))
     frames[:, :, 2] = [[0.1, 0.2], [-0.003, 0.2], [0.1, -0.001]]
-    assert contact_measures.depth(frames, table, np.zeros(3)) == pytest.approx(0.003)
-    assert contact_measures.depth(frames[:1], table, np.zeros(3)) == 0.0
+    assert peers_contact.depth(frames, table, np.zeros(3)) == pytest.approx(0.003)
+    assert peers_contact.depth(frames[:1], table, np.zeros(3)) == 0.0
     # A moving solid: its position in each frame counts.
     places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.005], [0.0, 0.0, 0.0]])
-    assert contact_measures.depth(frames, table, places) == pytest.approx(0.001)
+    assert peers_contact.depth(frames, table, places) == pytest.approx(0.001)
 
 
 def test_crossings_list_self_intersecting_frames() -> None:
@@ -150,22 +146,22 @@ def test_crossings_list_self_intersecting_frames() -> None:
     folded[over, 2] = 0.002
     through = folded.copy()
     through[33, 2] = -0.002
-    assert contact_measures.crossings(np.array([flat, folded, through, folded]), triangles, flat) == [2]
+    assert peers_contact.crossings(np.array([flat, folded, through, folded]), triangles, flat) == [2]
 
 
 def test_ball_creep_is_of_the_fastest_particle() -> None:
     first = np.array([[0.0, 0.0, 0.102], [0.102, 0.0, 0.0], [0.0, 0.0, 0.12], [0.0, 0.102, 0.0]])
     last = first + np.array([[1e-6, 0.0, 0.0], [0.0, 3e-6, 0.0], [1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]])
     # Of the last two particles one was never on the ball, and one left it.
-    creep = contact_measures.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
+    creep = peers_contact.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
     assert creep == pytest.approx(6e-6, rel=1e-3)
-    assert math.isnan(contact_measures.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
+    assert math.isnan(peers_contact.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
 
 
 def test_pinch_result_uses_the_clamped_particles() -> None:
     contact_scene = peer_scenes.pinch(RESOLUTION)
     start, pad, places = contact_scene.start, contact_scene.pads[0], contact_scene.pad_positions
-    between = contact_measures.between_pads(start, pad, places)
+    between = peers_contact.between_pads(start, pad, places)
     assert (start[between, 2] >= -peer_scenes.CLAMPED_HEIGHT).all()
     assert (np.abs(start[between, 0]) <= 0.5 * peer_scenes.PAD_SIZE[0]).all()
     assert between.sum() == 4
@@ -273,7 +269,7 @@ def test_search_without_a_valid_step_shows_the_shortest() -> None:
 def test_fold_reference_precedes_contact_of_layers() -> None:
     frames = peers_contact.fold_reference(20, peer_scenes.TOLERANCE)
     contact_scene = peer_scenes.fold(20, **peer_scenes.PEER_MATERIAL, **{"contact.self": False})
-    apart = peer_contact.run_product(attrs.evolve(contact_scene, duration=peers_contact.ERROR_TIMES[-1]), 60.0)
+    apart = peers_contact.run_product(attrs.evolve(contact_scene, duration=peers_contact.ERROR_TIMES[-1]), 60.0)
     assert np.abs(frames - apart.frames).max() < 1e-5
     assert 0.0 < peers_contact.deviation(frames, 20) < 1e-6
     moved = frames.copy()
@@ -314,7 +310,7 @@ def test_product_carries_and_releases_the_edge() -> None:
     contact_scene = peer_scenes.fold(RESOLUTION)
     path = contact_scene.path[:20] if contact_scene.hold else contact_scene.path
     contact_scene = attrs.evolve(contact_scene, path=path, duration=24 * PERIOD)
-    recording = peer_contact.run_product(contact_scene, 60.0)
+    recording = peers_contact.run_product(contact_scene, 60.0)
     assert recording.frames.shape == (25, 64, 3)
     assert recording.simulated == pytest.approx(0.4)
     # Grips of 1000 N/m deflect by far less than the displacement per frame, near the end 0.8 mm.
@@ -329,12 +325,12 @@ def test_product_carries_and_releases_the_edge() -> None:
 
 def test_product_runs_the_drape_and_the_pinch() -> None:
     drape = shortened_scene("drape", 25)
-    drape_recording = peer_contact.run_product(drape, 60.0)
+    drape_recording = peers_contact.run_product(drape, 60.0)
     result = peers_contact.evaluate(drape, "ours", drape_recording)
     assert result.inside == 0.0
     assert np.linalg.norm(drape_recording.frames, axis=2).min() < 0.1 + peer_scenes.THICKNESS
     pinch = shortened_scene("pinch", 12)
-    pinch_recording = peer_contact.run_product(pinch, 60.0)
+    pinch_recording = peers_contact.run_product(pinch, 60.0)
     # The pads are closed and symmetric; the gap is the thickness on either side, less the compression by 4 N.
     assert pinch_recording.pads[0] == pytest.approx(pinch.pad_positions)
     half = pinch_recording.pads[-1, 0, 1] - 0.5 * peer_scenes.PAD_SIZE[1]
@@ -344,14 +340,14 @@ def test_product_runs_the_drape_and_the_pinch() -> None:
 
 
 def test_product_run_stops_at_the_time_limit() -> None:
-    recording = peer_contact.run_product(shortened_scene("drape", 1000), 1e-9)
+    recording = peers_contact.run_product(shortened_scene("drape", 1000), 1e-9)
     assert (len(recording.frames), recording.simulated) == (2, pytest.approx(PERIOD))
 
 
 def test_product_run_never_sleeps() -> None:
     contact_scene = shortened_scene("pinch", 150)
     contact_scene = attrs.evolve(contact_scene, scene=contact_scene.scene.changed({"air.drag": 50.0}))
-    recording = peer_contact.run_product(contact_scene, 60.0)
+    recording = peers_contact.run_product(contact_scene, 60.0)
     # Each frame differs from the one before.
     assert (np.diff(recording.frames, axis=0) != 0.0).any(axis=(1, 2)).all()
 
@@ -359,7 +355,7 @@ def test_product_run_never_sleeps() -> None:
 def test_peer_is_recorded_frame_by_frame(stand_in: Peer, environment: Path) -> None:
     contact_scene = attrs.evolve(peer_scenes.fold(RESOLUTION), duration=4 * PERIOD)
     contact_scene = attrs.evolve(contact_scene, path=contact_scene.path[20:23])
-    recording = peer_contact.run_peer(stand_in, contact_scene, 4, 60.0, environment=environment)
+    recording = peers_contact.run_peer(stand_in, contact_scene, 4, 60.0, environment=environment)
     sunk = recording.frames - contact_scene.start
     assert sunk[:, -1, 2] == pytest.approx([0.0, -1e-3, -2e-3, -3e-3, -4e-3])
     held = recording.frames[:, contact_scene.held]
@@ -376,18 +372,20 @@ def test_peer_is_recorded_frame_by_frame(stand_in: Peer, environment: Path) -> N
 def test_peer_stops_at_time_limit_or_nan_positions(stand_in: Peer, environment: Path) -> None:
     contact_scene = shortened_scene("drape", 100)
     slow_peer = attrs.evolve(stand_in, variant="slow")
-    slow = peer_contact.run_peer(slow_peer, contact_scene, 4, 0.12, environment=environment)
+    slow = peers_contact.run_peer(slow_peer, contact_scene, 4, 0.12, environment=environment)
     # Three of the four steps of the first frame.
     assert len(slow.frames) == 1
     assert slow.simulated == pytest.approx(0.75 * PERIOD)
     assert peers_contact.evaluate(contact_scene, "slow", slow).outcome == "ended at 0.00 s of 1.66667"
-    not_finite = peer_contact.run_peer(
+    not_finite = peers_contact.run_peer(
         attrs.evolve(stand_in, variant="nan"), contact_scene, 4, 60.0, environment=environment
     )
     assert (not_finite.whole, len(not_finite.frames)) == (False, 1)
     assert peers_contact.evaluate(contact_scene, "lost", not_finite).outcome == "torn after 0.00 s"
     with pytest.raises(PeerFailed, match="Stand-in: ended with status 1: RuntimeError: no such solver"):
-        peer_contact.run_peer(attrs.evolve(stand_in, variant="raises"), contact_scene, 4, 60.0, environment=environment)
+        peers_contact.run_peer(
+            attrs.evolve(stand_in, variant="raises"), contact_scene, 4, 60.0, environment=environment
+        )
 
 
 @pytest.fixture
@@ -408,7 +406,7 @@ def test_report_lists_failed_and_absent_engines(
     absent = attrs.evolve(stand_in, name="Absent", package="mujoco")
     monkeypatch.setattr(peers_contact, "CONTACT_PEERS", (coarse, sinking, broken, absent))
     monkeypatch.setattr(peer_environment, "prepare", lambda *_: {"mujoco": "there is no wheel of it"})
-    monkeypatch.setattr(peer_jobs, "_MAX_STEPS", 8)
+    monkeypatch.setattr(peer_environment, "_MAX_STEPS", 8)
     file = tmp_path / "report.json"
     options = ["--resolution", str(RESOLUTION), "--environment", str(environment), "--json", str(file)]
     assert main(["peers-contact", *options, "--peers", "newton", "mujoco", "--scenes", "drape", "fold"]) == 0
@@ -455,7 +453,10 @@ def test_without_peers_nothing_is_installed(
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [(["--seconds", "0"], "--seconds is 0"), (["--resolution", "7"], "--resolution is 7; it must be at least 8")],
+    [
+        (["--seconds", "0"], "--seconds: 0; it must be above 0"),
+        (["--resolution", "7"], "--resolution: 7; it must be an integer of at least 8"),
+    ],
 )
 def test_numbers_out_of_range_are_refused(options: list[str], said: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit):

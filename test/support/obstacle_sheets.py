@@ -64,13 +64,6 @@ class Motion:
         for _ in range(frames):
             self.advance()
 
-    def borne(self) -> Array:
-        """Forces [N] on the obstacles, shape (obstacles, 3)."""
-        contact = self.plan.contact
-        if contact is None:
-            raise RuntimeError("there is no obstacle")
-        return contact.wrench_rates(self.frames * FRAME, self.state.x, self.state.v, memory=self.state.memory)[:, :3]
-
 
 def slope(kind: str, count: int, degrees: float, friction: tuple[float, float], tolerance: float = 1e-4) -> Motion:
     """A sheet that is laid at rest on a plane turned about y."""
@@ -86,12 +79,6 @@ def slope(kind: str, count: int, degrees: float, friction: tuple[float, float], 
         "slope.friction": list(friction),
     }
     return Motion(values, files)
-
-
-def downhill(motion: Motion, degrees: float) -> float:
-    """Mean place along the slope [m]."""
-    turn = Rotation.from_euler("y", degrees, degrees=True)
-    return float(turn.inv().apply(motion.state.positions)[:, 0].mean())
 
 
 class Capstan:

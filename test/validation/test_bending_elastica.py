@@ -24,7 +24,7 @@ def test_a_slight_elastica_is_the_cantilever_of_the_textbook():
 
 
 @pytest.mark.parametrize("model", ["crossed", "altitude", "quadratic"])
-@pytest.mark.parametrize("degrees", [5, 20, 40, 60, 80])
+@pytest.mark.parametrize("degrees", [5, 40, 80])
 def test_a_strip_hangs_as_the_elastica_does(model, degrees):
     exact = heavy_elastica(math.radians(degrees))
     coarse, fine = deviation(model, exact, 20), deviation(model, exact, 40)

@@ -19,8 +19,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from validation import __main__ as validation_command
 from validation.case_pool import CasePool
 from validation.stability.cases import Case, all_cases, contact_cases, random_cases, run_case
-from validation.stability.limits import LARGEST_EXCESS, measure_step_limit, stretched_sheet
-from validation.stability.scan import MAX_ENERGY_GAIN
+from validation.stability.scan import LARGEST_EXCESS, MAX_ENERGY_GAIN, measure_step_limit, stretched_sheet
 
 
 @pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.stress_case)
@@ -86,10 +85,10 @@ def test_measured_step_limit_stays_close_to_its_bound(stretch: float, k_d0: floa
 
 def test_unsolvable_implicit_step_settles_at_equilibrium() -> None:
     """Coincident particles of a sheet too stiff for its steps must neither freeze nor gain energy."""
-    plan, x = stretched_sheet(1.0, 0.5, resolution=8)
+    plan, x = stretched_sheet(1.0, 0.5, resolution=6)
     state = State(x.T.copy())
     state.x = state.x.copy()
-    state.x[:, 27] = state.x[:, 36]
+    state.x[:, 14] = state.x[:, 21]
     before = plan.energy(0.0, state.x, state.v)
     Implicit(tolerance=1e-6).advance(plan, state, 0.0, 0.5)
     assert plan.energy(0.0, state.x, state.v) < 0.05 * before

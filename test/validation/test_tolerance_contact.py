@@ -18,8 +18,9 @@ CASES = (0, 3)
 
 @pytest.fixture(autouse=True)
 def short_scenes(monkeypatch):
-    """Shorten scenes to a fifth of a second, at a tight tolerance."""
+    """Shorten scenes of small sheets to a fifth of a second, at a tight tolerance."""
     monkeypatch.setattr(contact, "_SECONDS", 0.2)
+    monkeypatch.setattr(contact, "_SIDES", (4, 6))
     draw_original = contact.draw_contact
 
     def shorter(seed, index):
@@ -44,6 +45,7 @@ def test_wrong_frame_violates_the_error_bound(monkeypatch):
         return run
 
     monkeypatch.setattr(contact, "run_contact", off)
+    monkeypatch.setattr(contact, "_PARTS", 2)
     assert evaluate_contact(1, 0, 1).verdict == "BROKEN"
 
 

@@ -12,8 +12,8 @@ import pytest
 from support.problems import Problem, problem
 
 from validation.__main__ import main
-from validation.tolerance import baselines, work_precision
-from validation.tolerance.baselines import SolverRun, SolverSetting, SolverTimeoutError
+from validation.tolerance import work_precision
+from validation.tolerance.work_precision import SolverRun, SolverSetting, SolverTimeoutError
 
 
 def fake(name: str, kind: str, *, error: float, seconds: float, held_up: bool = False) -> SolverSetting:
@@ -76,9 +76,9 @@ def test_product_and_library_solve_the_same_equations() -> None:
     scene = problem("chain")
     assert scene.exact is not None
     exact = scene.exact(scene.duration)
-    product_solver = next(solver for solver in baselines.product_solvers((1e-7,)) if solver.kind == "ours")
+    product_solver = next(solver for solver in work_precision.product_solvers((1e-7,)) if solver.kind == "ours")
     library_solver = next(
-        solver for solver in baselines.library_solvers(slow=False) if solver.setting.endswith("1e-08")
+        solver for solver in work_precision.library_solvers(slow=False) if solver.setting.endswith("1e-08")
     )
     for solver in (product_solver, library_solver):
         done = solver.solve(scene, 60.0)

@@ -9,35 +9,31 @@ modulus), the arc length from the clamp σ = s/L. The slope φ below the level o
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import Literal
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.model.forces.force import Array, Force
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros import Force, Gravity, Model, PairSprings, compile
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.sheets.bending import bending_terms, grid_hinge_constants
 from cloth_sim_ros.physics.model.sheets.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
-from cloth_sim_ros.physics.plan.plan import compile
+from validation.equilibrium import find_equilibrium
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Elastica:
     """The exact shape of a strip of length 1 m."""
 
+    #: b = w L³/D.
     load: float
-    """b = w L³/D."""
+    #: Angle of the tip below the level [rad].
     slope_at_tip: float
-    """Angle of the tip below the level [rad]."""
+    #: Arc lengths from the clamp [m], ascending, (k,).
     arc: Array
-    """Arc lengths from the clamp [m], ascending, (k,)."""
+    #: Distance from the clamp and height below it at those [m], (k, 2).
     curve: Array
-    """Distance from the clamp and height below it at those [m], (k, 2)."""
 
     def at(self, arc: Array) -> Array:
         """Return distance and depth [m] at arc lengths (m,), (m, 2)."""
@@ -76,16 +72,16 @@ def heavy_elastica(slope_at_tip: float) -> Elastica:
 class Strip:
     """A clamped strip of springs at rest under its weight."""
 
+    #: Arc length from the clamp of every column of particles beyond it [m], (c,).
     arc: Array
-    """Arc length from the clamp of every column of particles beyond it [m], (c,)."""
+    #: Mean distance from the clamp and depth below it of the columns [m], (c, 2).
     curve: Array
-    """Mean distance from the clamp and depth below it of the columns [m], (c, 2)."""
+    #: Largest sideways offset of a column's mean [m]: a strip that twists leaves its plane.
     max_lateral_offset: float
-    """Largest sideways offset of a column's mean [m]: a strip that twists leaves its plane."""
 
 
 def hanging_strip(
-    model: Literal["crossed", "altitude", "quadratic"],
+    bending: Literal["crossed", "altitude", "quadratic"],
     exact: Elastica,
     *,
     columns: int,
@@ -99,7 +95,7 @@ def hanging_strip(
     rows half a row's.
 
     Args:
-        model: bending model.
+        bending: bending model.
         exact: the elastica; its load is applied and its shape is the initial guess.
         columns: particles along the strip, including the two clamped ones.
         rows: particles across.
@@ -122,78 +118,16 @@ def hanging_strip(
     lengths = np.linalg.norm(rest_positions[pairs[:, 1]] - rest_positions[pairs[:, 0]], axis=1)
     constants = grid_hinge_constants(hinges, columns=columns, spacing=(cell_size, cell_size), bending_modulus=1.0)
     forces: list[Force] = [PairSprings(pairs, lengths, stretch * lengths), Gravity((0.0, 0.0, -1.0))]
-    forces += bending_terms(model, hinges, rest_positions, hinge_constants=constants, existing=pairs)
+    forces += bending_terms(bending, hinges, rest_positions, hinge_constants=constants, existing=pairs)
     free = np.flatnonzero(column > 1)
     start = rest_positions.copy()
     curve = exact.at(arc[column[free]])
     start[free, 0], start[free, 2] = curve[:, 0], -curve[:, 1]
-    positions = _equilibrium(Model(masses, forces), start, column, 2)
+    model = Model(masses, forces)
+    # Gravity is 1 m/s^2.
+    is_free = np.repeat(column[:, None] > 1, 3, axis=1)
+    positions = find_equilibrium(compile(model), start, is_free, accuracy=1e-6 * model.mass)
     mean_positions = np.array([positions[column == k].mean(axis=0) for k in range(2, columns)])
     centre = rest_positions[:, 1].mean()
     max_lateral_offset = float(np.abs(mean_positions[:, 1] - centre).max())
     return Strip(arc=arc[2:], curve=mean_positions[:, [0, 2]] * (1.0, -1.0), max_lateral_offset=max_lateral_offset)
-
-
-def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped: int) -> Array:
-    """Find the equilibrium (n, 3) [m] under a gravity of 1 m/s^2 by Newton's method from `start`.
-
-    The Hessian is shifted until a step lowers the energy. Particles of the first `clamped` columns stay. Forces reach
-    two columns far, therefore one product with every fifth column perturbed gives separate entries of the Hessian.
-    """
-    from scipy.sparse import csc_array, identity
-    from scipy.sparse.linalg import splu
-
-    plan, x = compile(model), np.ascontiguousarray(start.T)
-    zero_velocities = np.zeros_like(x)
-    free = np.flatnonzero(column >= clamped)
-    free_index = np.full(column.size, -1)
-    free_index[free] = np.arange(free.size)
-    n_unknowns = 3 * free.size
-    weight = model.mass
-
-    def energy() -> float:
-        return plan.energies(0.0, x, None)[1]
-
-    def force() -> Array:
-        f = np.zeros_like(x)
-        plan.add_force(0.0, x, zero_velocities, f)
-        return f[:, free].ravel()
-
-    def hessian() -> csc_array:
-        row_indices, column_indices, values = [], [], []
-        row_in_column = np.zeros(column.size, np.int64)
-        for k in np.unique(column):
-            row_in_column[column == k] = np.arange(np.count_nonzero(column == k))
-        for column_phase, row_index, axis in itertools.product(range(5), range(int(row_in_column.max()) + 1), range(3)):
-            perturbed = np.flatnonzero((column % 5 == column_phase) & (row_in_column == row_index) & (free_index >= 0))
-            perturbation, product = np.zeros_like(x), np.zeros_like(x)
-            perturbation[axis, perturbed] = 1.0
-            plan.add_jacobian_product(0.0, x, zero_velocities, perturbation, zero_velocities, product)
-            for p in perturbed:
-                neighbours = free[np.abs(column[free] - column[p]) <= 2]
-                for component in range(3):
-                    row_indices.append(component * free.size + free_index[neighbours])
-                    column_indices.append(np.full(neighbours.size, axis * free.size + free_index[p]))
-                    values.append(-product[component, neighbours])
-        indices = (np.concatenate(row_indices), np.concatenate(column_indices))
-        return csc_array((np.concatenate(values), indices), shape=(n_unknowns, n_unknowns))
-
-    def move(step: Array) -> None:
-        x[:, free] += step.reshape(3, -1)
-
-    shift, min_energy = 0.0, energy()
-    for _ in range(500):
-        f = force()
-        if np.abs(f).max() < 1e-6 * weight:
-            break
-        step = splu(hessian() + shift * csc_array(identity(n_unknowns))).solve(f)
-        move(step)
-        new_energy = energy()
-        if new_energy <= min_energy + 1e-13 * abs(min_energy) and step @ f > 0.0:
-            shift, min_energy = (0.1 * shift if shift > 1e-6 * weight else 0.0), new_energy
-        else:
-            move(-step)
-            shift = max(10.0 * shift, 1e-3 * weight)
-    else:
-        raise RuntimeError(f"no equilibrium of the strip: a force of {np.abs(f).max():.2e} N remains of {weight:.2e} N")
-    return x.T.copy()

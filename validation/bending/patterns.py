@@ -22,34 +22,34 @@ from cloth_sim_ros.physics.model.sheets.surface import Layout, Surface, grid_hin
 class Patch:
     """One period of a flat pattern."""
 
+    #: Particles of the period and enough copies around it [m], (n, 2).
     positions: Array
-    """Particles of the period and enough copies around it [m], (n, 2)."""
+    #: Hinges of the period, (m, 4).
     hinges: NDArray[np.int64]
-    """Hinges of the period, (m, 4)."""
+    #: k_θ [N m] for the modulus 1 N m, (m,).
     constants: Array
-    """k_θ [N m] for the modulus 1 N m, (m,)."""
+    #: Index of the particle within the period that each is a copy of, (n,).
     periodic_index: NDArray[np.int64]
-    """Index of the particle within the period that each is a copy of, (n,)."""
+    #: Area of the period [m²].
     area: float
-    """Area of the period [m²]."""
 
 
 @attrs.frozen(kw_only=True)
 class Plate:
     """Moduli of a plate, in units of the nominal modulus."""
 
+    #: Moment over curvature of a strip along x with free edges.
     along_x: float
-    """Moment over curvature of a strip along x with free edges."""
+    #: Moment over curvature of a strip along y with free edges.
     along_y: float
-    """Moment over curvature of a strip along y with free edges."""
+    #: Moment over curvature along x with no curvature across.
     cylindrical: float
-    """Moment over curvature along x with no curvature across."""
+    #: Poisson's ratio of bending, C12/C11.
     poisson: float
-    """Poisson's ratio of bending, C12/C11."""
+    #: Rate of twist over curvature of the free strip along x, κ_xy/κ_xx; 0 if a bent strip does not twist.
     twist: float
-    """Rate of twist over curvature of the free strip along x, κ_xy/κ_xx; 0 if a bent strip does not twist."""
+    #: 2 C33/(C11 - C12): 1 for an isotropic plate.
     isotropy: float
-    """2 C33/(C11 - C12): 1 for an isotropic plate."""
 
 
 def plate_moduli(patch: Patch) -> Plate:
@@ -110,14 +110,14 @@ def grid_patch(layout: Layout | None = None, *, spacing: tuple[float, float] = (
 class Triangulation:
     """One period of a flat random triangle mesh, with the eight copies around it."""
 
+    #: Particles [m], (n, 2); those of the period itself come first.
     positions: Array
-    """Particles [m], (n, 2); those of the period itself come first."""
+    #: Triangles, anticlockwise, (m, 3).
     triangles: NDArray[np.int64]
-    """Triangles, anticlockwise, (m, 3)."""
+    #: Index of the particle within the period that each is a copy of, (n,).
     periodic_index: NDArray[np.int64]
-    """Index of the particle within the period that each is a copy of, (n,)."""
+    #: Width and height of the period [m], (2,).
     period: Array
-    """Width and height of the period [m], (2,)."""
 
     def in_period(self, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return (m,) true for edges, given by their particles (m, 2), in the period; each edge counts exactly once."""

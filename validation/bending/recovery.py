@@ -16,15 +16,11 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+from cloth_sim_ros import AltitudeSprings, CrossedSprings, Model, PairSprings, compile
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings, signed_lengths
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.bending import spring_constants
 from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
-from cloth_sim_ros.physics.plan.plan import compile
 
 #: The five edges of the triangles, then the bending spring.
 EDGES = np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]])
@@ -51,12 +47,12 @@ class RecoveryStatistics:
     """Statistics of a batch of starts."""
 
     starts: int
+    #: Number of starts that rest in another shape, or that do not come to rest.
     missed: int
-    """Number of starts that rest in another shape, or that do not come to rest."""
+    #: Steps until the slowest of them is at rest.
     max_steps: int
-    """Steps until the slowest of them is at rest."""
+    #: Largest rise of the total energy between two checks in the last tenth of any motion, over k7 L².
     late_energy_rise: float
-    """Largest rise of the total energy between two checks in the last tenth of any motion, over k7 L²."""
 
 
 def start_positions(kind: Start, rest_positions: Array, count: int, rng: np.random.Generator) -> Array:

@@ -17,11 +17,10 @@ from typing import Any
 import attrs
 import numpy as np
 
+from cloth_sim_ros import Distribution, Ensemble, Grasp, Scene, Target
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.scene.distribution import Distribution
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.ensemble import Ensemble
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.events import Event
+from validation.command import at_least
 from validation.report import Report, Table
 
 #: Number of deviations, and normal vectors for the probability of a particle.
@@ -49,18 +48,18 @@ SCENES: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
 class CoverageRow:
     """Coverage at one time of a motion."""
 
+    #: Simulated time [s].
     time: float
-    """Simulated time [s]."""
+    #: Root mean square of the deviations [m].
     deviation: float
-    """Root mean square of the deviations [m]."""
+    #: The same of the cloths with random parameters, about the ensemble's mean [m].
     sample_deviation: float
-    """The same of the cloths with random parameters, about the ensemble's mean [m]."""
+    #: Mean probability that a particle lies within two deviations.
     predicted: float
-    """Mean probability that a particle lies within two deviations."""
+    #: Share of particles and cloths within two deviations.
     measured: float
-    """Share of particles and cloths within two deviations."""
+    #: Standard error of that share, from its variation over cloths.
     standard_error: float
-    """Standard error of that share, from its variation over cloths."""
 
 
 def distribution_of(deviations: dict[str, float]) -> Distribution:
@@ -132,29 +131,20 @@ def _events(name: str, scene: Scene, frame: int) -> list[Event]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--cloths", type=int, default=100, help="cloths with random parameters (default: %(default)s)")
-    parser.add_argument("--resolution", type=int, default=12, help="rows and columns (default: %(default)s)")
-    parser.add_argument("--seconds", type=float, default=2.0, help="simulated time (default: %(default)s)")
-    parser.add_argument("--scale", type=float, default=1.0, help="factor on the deviations (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the parameters (default: %(default)s)")
+    parser.add_argument("--cloths", type=at_least(2), default=100, help="cloths with random parameters")
+    parser.add_argument("--resolution", type=int, default=12, help="rows and columns")
+    parser.add_argument("--seconds", type=float, default=2.0, help="simulated time")
+    parser.add_argument("--scale", type=float, default=1.0, help="factor on the deviations")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the parameters")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the coverage of each scene."""
-    if options.cloths < 2:
-        raise ValueError(f"--cloths is {options.cloths}; a standard error takes 2 or more")
     if not 0.0 < options.scale <= 1.0:
         raise ValueError(f"--scale is {options.scale}; it must be above 0 and at most 1")
     columns = ["scene", "time [s]", "deviation [m]", "of random cloths [m]", "predicted", "measured", "standard error"]
     table = Table(f"Share within {WITHIN:g} deviations, {options.cloths} cloths with random parameters", columns)
     for name in SCENES:
-        for row in measure_coverage(
-            name,
-            resolution=options.resolution,
-            cloths=options.cloths,
-            seconds=options.seconds,
-            seed=options.seed,
-            scale=options.scale,
-        ):
-            table.rows.append([name, *attrs.astuple(row)])
-    return Report("Coverage of ensembles", "python -m validation ensemble-coverage", tables=[table])
+        values = {key: getattr(options, key) for key in ("resolution", "cloths", "seconds", "seed", "scale")}
+        table.rows += [[name, *attrs.astuple(row)] for row in measure_coverage(name, **values)]
+    return Report("Coverage of ensembles", tables=[table])

@@ -19,6 +19,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
 from cloth_sim_ros.physics.model.sheets.surface import Surface
 from validation.bending.patterns import Triangulation, periodic_triangulation
+from validation.command import at_least
 from validation.report import Report, Table
 
 #: Meshes: (square lattice, largest displacement of a vertex in sides); 1 leaves no trace of the lattice.
@@ -29,14 +30,14 @@ MESHES = (*((False, jitter) for jitter in (0.1, 0.2, 0.3, 0.4)), (True, 0.1), (T
 class Moduli:
     """Moduli of a sheet, divided by the nominal ones."""
 
+    #: Young's modulus along x.
     along_x: float
-    """Young's modulus along x."""
+    #: Young's modulus along y.
     along_y: float
-    """Young's modulus along y."""
+    #: Shear modulus, over 3/8 of the nominal Young's modulus.
     shear: float
-    """Shear modulus, over 3/8 of the nominal Young's modulus."""
+    #: Poisson's ratio along x, over 1/3.
     poisson: float
-    """Poisson's ratio along x, over 1/3."""
 
 
 def measure_moduli(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
@@ -78,14 +79,12 @@ def measure_moduli(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--patterns", type=int, default=100, help="random meshes a row (default: %(default)s)")
-    parser.add_argument("--size", type=int, default=12, help="vertices a side of the period (default: %(default)s)")
+    parser.add_argument("--patterns", type=at_least(2), default=100, help="random meshes a row")
+    parser.add_argument("--size", type=int, default=12, help="vertices a side of the period")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the moduli of each kind of mesh."""
-    if options.patterns < 2:
-        raise ValueError(f"--patterns is {options.patterns}; a distribution takes 2 or more")
     columns = ["vertices of", "moved by", "modulus", "mean", "standard deviation", "5 %", "95 %", "affine mean"]
     table = Table(f"Moduli over those asked for, {options.patterns} random Delaunay meshes a row", columns)
     for square, jitter in MESHES:
@@ -99,7 +98,7 @@ def run(options: argparse.Namespace) -> Report:
             row = ["squares" if square else "triangles", f"{jitter:g} side", name, float(values.mean())]
             table.rows.append([*row, float(values.std(ddof=1)), *percentiles, float(affine_values.mean())])
     note = f"{options.size**2} vertices a mesh, periodic; Young's modulus along x and along y both count"
-    return Report("Moduli of irregular meshes", "python -m validation mesh-moduli", tables=[table], notes=[note])
+    return Report("Moduli of irregular meshes", tables=[table], notes=[note])
 
 
 def _moduli_by_name(name: str, moduli: list[Moduli]) -> Array:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from validation.command import at_least
 from validation.report import Report
 
 #: Names of the parts.
@@ -15,23 +16,23 @@ PARTS = ("swings", "models", "recorded")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--part", choices=PARTS, default="swings", help="part (default: %(default)s)")
+    parser.add_argument("--part", choices=PARTS, default="swings", help="part")
     swings = parser.add_argument_group(
         "swings: fits to a synthetic copy of a recorded set; models: to motions of other models"
     )
-    swings.add_argument("--fits", type=int, default=1, help="complete fits (default: %(default)s)")
-    linear = "fits that are linear about the true parameters; a second each (default: %(default)s)"
+    swings.add_argument("--fits", type=int, default=1, help="complete fits")
+    linear = "fits that are linear about the true parameters; a second each"
     swings.add_argument("--linear", type=int, default=0, help=linear)
-    swings.add_argument("--motions", type=int, default=40, help="motions of the set (default: %(default)s)")
-    swings.add_argument("--first", type=int, default=0, help="seed of the first fit (default: %(default)s)")
+    swings.add_argument("--motions", type=at_least(5), default=40, help="motions of the set")
+    swings.add_argument("--first", type=int, default=0, help="seed of the first fit")
     record = "file of JSON lines: finished fits are read from it, new ones appended"
     swings.add_argument("--record", type=Path, metavar="FILE", help=record)
     recorded = parser.add_argument_group("recorded: swings of a real cloth, which lie on this machine")
     folder = "folder of the recordings; without it the part is skipped"
     recorded.add_argument("--folder", type=Path, help=folder)
-    fitted_on = "motions that the parameters are fitted on (default: %(default)s)"
+    fitted_on = "motions that the parameters are fitted on"
     recorded.add_argument("--fitted-on", type=int, default=5, metavar="N", help=fitted_on)
-    swings.add_argument("--workers", type=int, help="processes (default: one per core)")
+    swings.add_argument("--workers", type=int, help="processes")
 
 
 def run(options: argparse.Namespace) -> Report:

@@ -20,6 +20,7 @@ import numpy as np
 from cloth_sim_ros.laboratory.drape import EDGE_LENGTH, DrapeTest
 from cloth_sim_ros.laboratory.drape_series import DrapeSeries, drape_series
 from cloth_sim_ros.laboratory.samples import read_sample
+from validation.command import above, at_least
 from validation.report import Report, Table, print_progress
 
 #: The package's fabrics with measured moduli and a measured drape coefficient.
@@ -68,16 +69,15 @@ def split_errors(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--specimens", type=int, default=2, help="specimens of each drape (default: %(default)s)")
-    edge_length = "length of the mesh's edges [m] (default: %(default)s)"
-    parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH, help=edge_length)
-    parser.add_argument("--factors", type=float, nargs="+", default=FACTORS, help="factors on the bending moduli")
+    parser.add_argument("--specimens", type=at_least(1), default=2, help="specimens of each drape")
+    parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH, help="length of the mesh's edges [m]")
+    parser.add_argument("--factors", type=above(0.0), nargs="+", default=FACTORS, help="factors on the bending moduli")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Drape all fabrics at all factors."""
-    if options.specimens < 1 or len(options.factors) < 2 or min(options.factors) <= 0.0:
-        raise ValueError("--specimens must be at least 1, and --factors at least two positive numbers")
+    if len(options.factors) < 2:
+        raise ValueError("--factors takes at least two")
     test, factors, failures = DrapeTest(edge_length=options.edge_length), sorted(options.factors), list[str]()
     real, curves, nodes, times = {}, {}, {}, []
     for fabric in FABRICS:
@@ -120,6 +120,4 @@ def run(options: argparse.Namespace) -> Report:
     if max(times) > MAX_TIME:
         failures.append(f"the slowest drape took {max(times):.1f} s of processor time")
     note = f"edges of {1e3 * options.edge_length:g} mm, {options.specimens} specimens; slowest drape {max(times):.1f} s"
-    return Report(
-        "Six woven fabrics", "python -m validation drapes", tables=[table, splits], notes=[note], failures=failures
-    )
+    return Report("Six woven fabrics", tables=[table, splits], notes=[note], failures=failures)

@@ -55,9 +55,8 @@ def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter],
     model = AlignmentModel(
         n_recordings=len(recordings), time=SHARED, camera=SHARED, has_shift=True, pivot=pivot_of(recordings)
     )
-    held = {"left": (0,), "right": (samples.RESOLUTION - 1,)}
     scene = samples.swing_scene({})
-    prepared = [motion_recording(r, scene, selections(held), max_offset=model.max_offset) for r in recordings]
+    prepared = [motion_recording(r, scene, selections(samples.HELD), max_offset=model.max_offset) for r in recordings]
     return JointProblem(
         recordings=prepared,
         used=[np.arange(len(r.clouds)) for r in recordings],
@@ -65,6 +64,20 @@ def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter],
         alignment=model,
         pool=pool,
     )
+
+
+def start_point(problem: JointProblem) -> Point:
+    """Return the point of all motions at the starting values, with rest shapes chosen and all motions aligned.
+
+    Raises:
+        ValueError: if a motion can't be simulated.
+    """
+    selected = range(len(problem.recordings))
+    choose_rest_shapes(problem, problem.start, selected, TOLERANCE)
+    point = problem.evaluate(problem.start, np.zeros(problem.alignment.n_unknowns), selected, TOLERANCE)
+    if isinstance(point, str):
+        raise ValueError(point)
+    return replace_alignment(problem, point, selected, align_all(problem, point, selected))
 
 
 def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linearized:
@@ -82,11 +95,7 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
     problem = prepare(whole, parameters, pool)
     selected = range(len(whole))
     problem.offsets = (samples.DELAY - 0.1, samples.DELAY + 0.1)
-    choose_rest_shapes(problem, problem.start, selected, TOLERANCE)
-    point = problem.evaluate(problem.start, np.zeros(problem.alignment.n_unknowns), selected, TOLERANCE)
-    if isinstance(point, str):
-        raise ValueError(point)
-    point = aligned(problem, replace_alignment(problem, point, selected, align_all(problem, point, selected)))
+    point = aligned(problem, start_point(problem))
     recorded = LossyClouds.at_truth(parameters, problem.recordings, point, exact, seed, selected, pool)
     steps, previous = DifferenceSteps.initial(len(parameters)), None
     for _ in range(MAX_LINEARIZATIONS):

@@ -15,6 +15,7 @@ from cloth_sim_ros.laboratory.samples import read_sample
 from cloth_sim_ros.laboratory.specimens import PATTERNS
 from cloth_sim_ros.scene.fabrics import fabrics
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from validation.command import at_least
 from validation.report import Report, Table, print_progress
 
 #: Lengths of the edges of drapes [m].
@@ -26,18 +27,15 @@ _GRAVITY = 9.81
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--specimens", type=int, default=1, help="specimens of each drape (default: %(default)s)")
+    parser.add_argument("--specimens", type=at_least(1), default=1, help="specimens of each drape")
     parser.add_argument(
         "--edge-lengths", type=float, nargs="+", default=EDGE_LENGTHS, help="lengths of the meshes' edges [m]"
     )
-    names = "fabrics (default: all)"
-    parser.add_argument("--fabrics", nargs="+", choices=list(fabrics()), default=list(fabrics()), help=names)
+    parser.add_argument("--fabrics", nargs="+", choices=list(fabrics()), default=list(fabrics()), help="fabrics")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Drape the fabrics and bend strips of them."""
-    if options.specimens < 1:
-        raise ValueError("--specimens must be at least 1")
     meshes = [(pattern, edge_length) for pattern in PATTERNS for edge_length in options.edge_lengths]
     columns = [f"{pattern} {1e3 * edge_length:g} mm" for pattern, edge_length in meshes]
     drapes = Table("Drape coefficient [%] by mesh", ["fabric", *columns, "nodes", "published"])
@@ -73,4 +71,4 @@ def run(options: argparse.Namespace) -> Report:
                 f"{name}: drape coefficients are {100.0 * min(drapable):.1f} to {100.0 * max(drapable):.1f} %, "
                 f"published {published} %"
             )
-    return Report("Fabrics of the package", "python -m validation presets", tables=[drapes, strips], failures=failures)
+    return Report("Fabrics of the package", tables=[drapes, strips], failures=failures)

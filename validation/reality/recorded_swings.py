@@ -17,21 +17,21 @@ from pathlib import Path
 
 import numpy as np
 
+from cloth_sim_ros import Scene
 from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel
 from cloth_sim_ros.fit.bag import read_recording
 from cloth_sim_ros.fit.hypotheses import pivot_of, selections
 from cloth_sim_ros.fit.joint import JointProblem
-from cloth_sim_ros.fit.motions import TOLERANCE, align_all, replace_alignment
+from cloth_sim_ros.fit.motions import replace_alignment
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.scene.scene import Scene
+from validation.reality.linear_fits import start_point
 from validation.report import Report, print_progress
 
 #: Topics of the clouds and of the arm's tool.
@@ -112,13 +112,8 @@ class _Evaluation:
         problem = JointProblem(
             recordings=prepared, used=list(screened.used), parameters=parameters, alignment=model, pool=pool
         )
-        selected = range(len(recordings))
-        choose_rest_shapes(problem, problem.start, selected, TOLERANCE)
-        point = problem.evaluate(problem.start, np.zeros(model.n_unknowns), selected, TOLERANCE)
-        if isinstance(point, str):
-            raise ValueError(point)
-        self.problem, self.point = problem, point
-        self.align(align_all(problem, point, selected))
+        self.problem, self.point = problem, start_point(problem)
+        self.align(self.point.eta)
 
     def align(self, eta: Array) -> None:
         """Use another time offset and camera pose."""
@@ -155,7 +150,7 @@ class _Evaluation:
 
 def run(options: argparse.Namespace) -> Report:
     """Compare the defaults, a fit to some motions, and a rigid cloth with recordings."""
-    report = Report("Recorded swings of a real cloth", "python -m validation reality --part recorded --folder FOLDER")
+    report = Report("Recorded swings of a real cloth")
     if options.folder is None:
         report.notes.append("skipped: --folder names no recordings (Alados5/tfm_matlab, Session_2021_07_05)")
         return report

@@ -11,22 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros import Grasp, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.fit.alignment import rotation_of
 from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
 
 #: Number of this set of motions. The fit was developed on set 39. This set was drawn afterwards, and stays as it is.
 SET = 53
 #: Edge of the cloth [m], particles along it, and distance of the grippers relative to it.
 SIZE, RESOLUTION, NEARER = 0.3, 8, 0.98
+#: Held particles, by gripper.
+HELD = {"left": (0,), "right": (RESOLUTION - 1,)}
 #: Ranges of the true values. The middle of each is the start of a complete fit.
 RANGES = {
     "material.stretch_modulus": (150.0, 600.0),
@@ -68,26 +67,13 @@ SPEED = 0.8
 SETTLE = 6.0
 
 
-@attrs.frozen(kw_only=True)
-class Swings:
-    """Recorded motions and the truth behind them."""
-
-    recordings: tuple[Recording, ...]
-    #: Noise-free clouds of the camera before it lost any, for each motion: shape (clouds, particles, 3) [m].
-    exact: tuple[Array, ...]
-    #: True parameters by full name.
-    truth: dict[str, float]
-    #: Held particles, by gripper.
-    held: dict[str, tuple[int, ...]]
-
-
-def swing_scene(values: dict[str, float], *, resolution: int = RESOLUTION) -> Scene:
+def swing_scene(values: dict[str, float]) -> Scene:
     """Return the scene of the cloth with two grippers; `values` are by full name."""
     return Scene.from_parameters(
         {
             "rate": FRAME_RATE,
             "cloth.size": [SIZE, SIZE],
-            "cloth.resolution": [resolution, resolution],
+            "cloth.resolution": [RESOLUTION, RESOLUTION],
             "cloth.anchors": [""],
             "grippers": ["left", "right"],
             "gripper.radius": 0.01,
@@ -101,7 +87,7 @@ def swing_scene(values: dict[str, float], *, resolution: int = RESOLUTION) -> Sc
     )
 
 
-def gripper_positions(index: int, times: Array, *, duration: float = DURATION) -> tuple[Array, Array]:
+def gripper_positions(index: int, times: Array) -> tuple[Array, Array]:
     """Return the positions of the left and the right gripper of a motion, shape (times, 3) each [m].
 
     An arm moves both by sines of random amplitudes and turns them by a few degrees. The swing starts and ends smoothly.
@@ -110,7 +96,7 @@ def gripper_positions(index: int, times: Array, *, duration: float = DURATION) -
     amplitudes = random.normal(size=(3, 3)) * np.array([0.5, 1.0, 0.5])[:, None]
     frequencies, phases = random.uniform(0.4, 1.6, size=(3, 3)), random.uniform(0.0, 2.0 * np.pi, size=(3, 3))
     turns = random.normal(scale=0.15, size=2)
-    grid = np.linspace(0.0, duration, 400)
+    grid = np.linspace(0.0, DURATION, 400)
 
     def path(at: Array) -> Array:
         t = np.clip(at - STILL, 0.0, None)
@@ -129,46 +115,43 @@ def gripper_positions(index: int, times: Array, *, duration: float = DURATION) -
     return centre - arm, centre + arm
 
 
-def exact_motion(
-    index: int, values: dict[str, float], *, resolution: int = RESOLUTION, shown: int = RESOLUTION
-) -> Array:
-    """Return true positions of the shown particles at every frame of a motion [m], shape (frames, particles, 3).
+def exact_motion(index: int, values: dict[str, float]) -> Array:
+    """Return true positions at every frame of a motion [m], shape (frames, particles, 3).
 
     Args:
         index: index of the motion.
         values: true parameters by full name.
-        resolution: particles along an edge of the true cloth.
-        shown: particles along an edge that the camera shows.
     """
-    scene = swing_scene(values, resolution=resolution)
-    simulation = Simulation(scene)
+    scene = swing_scene(values)
     n_settle, n = round(SETTLE * FRAME_RATE), round(DURATION * FRAME_RATE)
-    turn = (0.0, 0.0, 0.0, 1.0)
     left, right = gripper_positions(index, np.arange(n + 1) / FRAME_RATE)
+    start = scene.initial_positions()
+    shift = (left[0] + right[0]) / 2.0 - (start[0] + start[RESOLUTION - 1]) / 2.0
+    state = scene.starting_state()
+    state.x += shift[:, None]
+    simulation = Simulation(scene, state)
     for k in range(n_settle):
-        events: list[Event] = []
+        events = _targets(left[0], right[0])
         if not k:
-            start = scene.initial_positions()
-            shift = (left[0] + right[0]) / 2.0 - (start[0] + start[resolution - 1]) / 2.0
-            simulation = Simulation(scene, _moved(simulation, shift))
-            events = [Target("left", start[0] + shift, turn), Target("right", start[resolution - 1] + shift, turn)]
+            events = _targets(start[0] + shift, start[RESOLUTION - 1] + shift)
             events += [Grasp("left", True), Grasp("right", True)]
             events.append(SetParameters({"air.drag": 6.0, "wind.velocity": [0.0, 1.5, 0.0]}))
-        else:
-            events = [Target("left", left[0], turn), Target("right", right[0], turn)]
         if k == n_settle // 3:
             events.append(SetParameters({"wind.velocity": [0.0, 0.0, 0.0]}))
         simulation.advance(events)
-    step = (resolution - 1) // (shown - 1)
-    chosen = np.arange(resolution**2).reshape(resolution, resolution)[::step, ::step].ravel()
-    frames = [simulation.positions[chosen]]
+    frames = [simulation.positions]
     for k in range(n):
-        events = [Target("left", left[k + 1], turn), Target("right", right[k + 1], turn)]
+        events = _targets(left[k + 1], right[k + 1])
         if not k:
             events.append(SetParameters({"air.drag": scene.air.drag}))
         simulation.advance(events)
-        frames.append(simulation.positions[chosen])
+        frames.append(simulation.positions)
     return np.array(frames)
+
+
+def _targets(left: Array, right: Array) -> list[Event]:
+    level = (0.0, 0.0, 0.0, 1.0)
+    return [Target("left", left, level), Target("right", right, level)]
 
 
 def camera_pose() -> tuple[Array, Array]:
@@ -273,32 +256,5 @@ def camera_noise(times: Array, random: np.random.Generator, amplitude: Array) ->
     return np.asarray(NOISE / np.sqrt(3.0) * amplitude[:, None, None] * (factor @ smooth + white))
 
 
-def record_swings(
-    n_motions: int, seed: int, *, values: dict[str, float] | None = None, frames: list[Array] | None = None
-) -> Swings:
-    """Return a set of recordings.
-
-    Args:
-        n_motions: number of motions.
-        seed: seed of the camera.
-        values: true parameters by full name; default: `TRUTH`.
-        frames: true positions of each motion, if they are known.
-    """
-    truth = {**TRUTH, **(values or {})}
-    frames = frames or [exact_motion(k, truth) for k in range(n_motions)]
-    return Swings(
-        recordings=tuple(record_motion(k, motion, seed) for k, motion in enumerate(frames)),
-        exact=tuple(frames),
-        truth=truth,
-        held={"left": (0,), "right": (RESOLUTION - 1,)},
-    )
-
-
 def _pose_times() -> Array:
     return np.arange(-0.3, DURATION + 0.1, 1.0 / POSE_RATE)
-
-
-def _moved(simulation: Simulation, shift: Array) -> State:
-    state = simulation.state.copy()
-    state.x += shift[:, None]
-    return state

@@ -33,9 +33,9 @@ MIN_COVERAGE, MAX_COVERAGE, MIN_FITS, MAX_WIDTH_RATIO = 0.85, 0.95, 50, 1.5
 def complete_fit(seed: int, n_motions: int, workers: int | None) -> dict[str, Any]:
     """Return the result of one complete fit."""
     truth, start = samples.draw_truth(seed), samples.starting_values()
-    swings = samples.record_swings(n_motions, seed, values=truth)
+    recordings = [samples.record_motion(k, samples.exact_motion(k, truth), seed) for k in range(n_motions)]
     begin, begin_processor = time.perf_counter(), _processor_time()
-    fit = fit_real(swings.recordings, samples.swing_scene(start), list(truth), workers=workers)
+    fit = fit_real(recordings, samples.swing_scene(start), list(truth), workers=workers)
     seconds, processor = time.perf_counter() - begin, _processor_time() - begin_processor
     chosen = {} if fit.grasp is None else dict(fit.grasp.best.particles)
     first = fit.alignments[0]
@@ -47,7 +47,7 @@ def complete_fit(seed: int, n_motions: int, workers: int | None) -> dict[str, An
         "processor_seconds": processor,
         "runs": fit.n_runs,
         "doubt": fit.doubt,
-        "is_right_grasp": chosen == swings.held,
+        "is_right_grasp": chosen == samples.HELD,
         "is_tie": fit.grasp is not None and fit.grasp.is_tie,
         "offset": first.offset,
         "angle": float(np.degrees(first.angle)),
@@ -82,19 +82,12 @@ def recorded_fits(file: Path | None, n_motions: int) -> dict[int, dict[str, Any]
 
 def run(options: argparse.Namespace) -> Report:
     """Run complete and linear fits."""
-    if options.motions < 5:
-        raise ValueError(f"--motions is {options.motions}; intervals take 5 or more")
-    report = Report("Swings of a cloth with known parameters", _command(options))
+    report = Report("Swings of a cloth with known parameters")
     if options.fits:
         _report_complete(report, options)
     if options.linear:
         _report_linear(report, options)
     return report
-
-
-def _command(options: argparse.Namespace) -> str:
-    words = f"python -m validation reality --part swings --fits {options.fits} --motions {options.motions}"
-    return words + (f" --linear {options.linear}" if options.linear else "")
 
 
 def _report_complete(report: Report, options: argparse.Namespace) -> None:
@@ -107,51 +100,31 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
                 with options.record.open("a") as stream:
                     stream.write(json.dumps(fits[seed]) + "\n")
         entries.append(fits[seed])
-        used = fits[seed]["processor_seconds"]
-        print_progress(
-            f"fit {seed}: {fits[seed]['seconds']:.0f} s, {used:.0f} s of processors, {fits[seed]['runs']} runs"
-        )
+        used = fits[seed]["seconds"], fits[seed]["processor_seconds"], fits[seed]["runs"]
+        print_progress(f"fit {seed}: {used[0]:.0f} s, {used[1]:.0f} s of processors, {used[2]} runs")
     columns = ["parameter", "identified", "largest error of these %", "rms error %", "mean bound %", "covered"]
     table = report.add_table(f"{len(entries)} complete fits to {options.motions} motions", columns)
     for name in samples.TRUTH:
         rows = [entry["parameters"][name] for entry in entries]
         identified = [row for row in rows if row["identified"]]
         largest = max((abs(row["error"]) for row in identified), default=float("nan"))
-        errors = [row["error"] for row in rows]
-        table.rows.append(
-            [
-                name,
-                len(identified),
-                100 * largest,
-                100 * float(np.sqrt(np.mean(np.square(errors)))),
-                100 * float(np.mean([row["bound"] for row in rows])),
-                sum(row["covered"] for row in rows),
-            ]
-        )
+        errors, bounds = ([row[key] for row in rows] for key in ("error", "bound"))
+        cells = [100 * largest, _rms_percent(errors), 100 * float(np.mean(bounds))]
+        table.rows.append([name, len(identified), *cells, sum(row["covered"] for row in rows)])
         if identified and largest > MAX_ERROR:
             report.fail(f"{name} is identified with an error of {100 * largest:.1f} %")
     fit_columns = ["fit", "seconds", "processor seconds", "simulations", "right particles", "offset s", "angle deg"]
     fit_table = report.add_table("Fits", [*fit_columns, "left out one mm", "rigid mm", "floor mm", "doubt"])
     for entry in entries:
-        numbers = [
-            entry["seed"],
-            entry["seconds"],
-            entry["processor_seconds"],
-            entry["runs"],
-            entry["is_right_grasp"],
-            entry["offset"],
-            entry["angle"],
-        ]
-        fit_table.rows.append(
-            [*numbers, *(entry["rms"][name] for name in ("held_out", "rigid", "floor")), entry["doubt"]]
-        )
+        keys = ("seed", "seconds", "processor_seconds", "runs", "is_right_grasp", "offset", "angle")
+        errors = [entry["rms"][name] for name in ("held_out", "rigid", "floor")]
+        fit_table.rows.append([*(entry[key] for key in keys), *errors, entry["doubt"]])
     wrong = [entry["seed"] for entry in entries if not entry["is_right_grasp"] and not entry["is_tie"]]
     report.require(not wrong, f"fits {wrong} hold wrong particles")
     longest = max(entry["seconds"] for entry in entries)
     report.require(longest <= MAX_SECONDS, f"the longest fit took {longest:.0f} s")
-    _check_coverage(
-        report, "complete", [row["covered"] for e in entries for row in e["parameters"].values()], len(entries)
-    )
+    covered = [row["covered"] for entry in entries for row in entry["parameters"].values()]
+    _check_coverage(report, "complete", covered, len(entries))
 
 
 def _report_linear(report: Report, options: argparse.Namespace) -> None:
@@ -177,17 +150,13 @@ def linear_table(fits: list[LinearFit], n_motions: int) -> Table:
         errors, bounds = [fit.errors[i] for fit in fits], [fit.covariance.deviations[i] for fit in fits]
         best = [fit.best[i] for fit in fits]
         covered = sum(bool(abs(fit.errors[i]) <= fit.reach(LEVEL)[i]) for fit in fits)
-        table.rows.append(
-            [
-                name,
-                100 * float(np.sqrt(np.mean(np.square(errors)))),
-                100 * float(np.mean(bounds)),
-                100 * float(np.mean(best)),
-                float(np.mean(np.array(bounds) / np.array(best))),
-                covered,
-            ]
-        )
+        cells = [_rms_percent(errors), 100 * float(np.mean(bounds)), 100 * float(np.mean(best))]
+        table.rows.append([name, *cells, float(np.mean(np.array(bounds) / np.array(best))), covered])
     return table
+
+
+def _rms_percent(errors: list[float]) -> float:
+    return 100 * float(np.sqrt(np.mean(np.square(errors))))
 
 
 def _check_coverage(report: Report, kind: str, covered: list[bool], n_fits: int) -> None:

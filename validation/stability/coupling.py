@@ -24,8 +24,8 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros import Grasp, Scene, Simulation, Target
+from cloth_sim_ros.simulation.events import Event
 from validation.report import Report, Table
 
 #: Mass of the wrist [kg] and stiffness of its holder [N/m].
@@ -139,7 +139,7 @@ def run(options: argparse.Namespace) -> Report:
         for n_frames in options.frames:
             taut.rows.append(_taut_row(modulus, n_frames))
             inertia.rows.append(_inertia_row(modulus, n_frames))
-    return Report("Stability of coupled simulators", "python -m validation coupling", tables=[taut, inertia])
+    return Report("Stability of coupled simulators", tables=[taut, inertia])
 
 
 def _taut_row(modulus: float, n_frames: int) -> list[Any]:

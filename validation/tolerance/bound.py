@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from validation.case_pool import CasePool
+from validation.command import above, at_least
 from validation.report import Report, Table
 from validation.tolerance.climb import FAMILIES as CLIMB_FAMILIES
 from validation.tolerance.climb import climb_command
 from validation.tolerance.random_scenes import MAX_COST, draw_scene
-from validation.tolerance.windows import CALM_AMPLIFICATION, SceneEvaluation, Window, evaluate_scene
+from validation.tolerance.windows import CALM_AMPLIFICATION, SceneEvaluation, evaluate_scene
 
 #: Largest fraction of flagged windows among those with amplification below `CALM_AMPLIFICATION`, and largest ratio of
 #: error to error bound of a flagged window.
@@ -38,7 +38,7 @@ _Case = tuple[int, int, int]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     mode = parser.add_mutually_exclusive_group()
-    mode.add_argument("--regimes", action="store_true", help="evaluate springs, chains and pendulums of fixed regimes")
+    mode.add_argument("--regimes", action="store_true", help="evaluate springs and chains of fixed regimes")
     mode.add_argument("--violent", action="store_true", help="evaluate scenes whose grippers jump with each frame")
     mode.add_argument("--contact", action="store_true", help="evaluate sheets that fall on obstacles and on themselves")
     climb = "search for violations by climbs over families of scenes"
@@ -47,18 +47,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mode.add_argument("--replay", type=Path, metavar="FILE", help=replay)
     only = "evaluate this scene of the seed only, window by window"
     mode.add_argument("--only", type=int, metavar="INDEX", help=only)
-    parser.add_argument("--seed", type=int, default=1, help="seed of the scenes (1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the scenes")
     count = "number of evaluated scenes (40), not counting draws beyond the cap"
-    parser.add_argument("--count", type=int, default=40, help=count)
-    windows = "windows of one second per scene, besides the whole run (4)"
-    parser.add_argument("--windows", type=int, default=4, help=windows)
-    cap = f"largest estimated cost of a scene ({MAX_COST:g})"
+    parser.add_argument("--count", type=at_least(1), default=40, help=count)
+    windows = "windows of one second per scene, besides the whole run"
+    parser.add_argument("--windows", type=at_least(1), default=4, help=windows)
+    cap = "largest estimated cost of a scene"
     parser.add_argument("--cap", type=float, default=MAX_COST, metavar="WORK", help=cap)
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one per core)")
+    parser.add_argument("--jobs", type=at_least(1), default=len(os.sched_getaffinity(0)), help="processes")
     resume = "append each result to this file, and run only scenes without one"
     parser.add_argument("--resume", type=Path, metavar="FILE", help=resume)
-    parser.add_argument("--climbs", type=int, default=200, help="number of climbs (200)")
-    parser.add_argument("--seconds", type=float, default=60.0, help="processor time of a climb [s] (60)")
+    parser.add_argument("--climbs", type=at_least(1), default=200, help="number of climbs")
+    parser.add_argument("--seconds", type=above(0.0), default=60.0, help="processor time of a climb [s]")
     families = f"families of scenes to climb over, in turn (all): {', '.join(CLIMB_FAMILIES)}"
     parser.add_argument("--family", nargs="+", choices=CLIMB_FAMILIES, metavar="FAMILY", help=families)
     limit = "wall time limit of a scene; a scene that takes longer fails"
@@ -67,8 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Report:
     """Evaluate the selected scenes."""
-    if min(options.count, options.windows, options.jobs, options.climbs) < 1 or not options.seconds > 0.0:
-        raise ValueError("--count, --windows, --jobs and --climbs must be at least 1, --seconds above 0")
     if options.regimes:
         from validation.tolerance.regimes import regimes
 
@@ -79,45 +77,20 @@ def run(options: argparse.Namespace) -> Report:
         from validation.tolerance.violent import violent
 
         return violent(options)
+    return _evaluate_scenes(options)
+
+
+def _evaluate_scenes(options: argparse.Namespace) -> Report:
+    report = Report("Error bound with contact" if options.contact else "Error bound")
+    evaluate, min_ratio, title = evaluate_case, _LISTED_RATIO, f"Windows above {_LISTED_RATIO} of the error bound"
     if options.contact:
-        return _evaluate_contact(options)
-    if options.only is not None:
-        return _evaluate_single(options)
-    return _evaluate_random(options)
-
-
-def _evaluate_single(options: argparse.Namespace) -> Report:
-    evaluation = evaluate_scene(options.seed, options.only, options.windows)
-    report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --only {options.only}")
-    report.tables.append(_scenes([evaluation]))
-    table = _windows("Windows", [evaluation], min_ratio=0.0)
-    report.tables.append(table)
-    for window in evaluation.windows:
-        report.note(f"flagged or most expensive frame of the window at {window.first}: {window.reason}")
-    report.notes += evaluation.unknown
-    _add_summary([evaluation], report)
-    return report
-
-
-def _evaluate_contact(options: argparse.Namespace) -> Report:
-    command = f"python -m validation tolerance --contact --seed {options.seed} --count {options.count}"
-    cases = [(options.seed, index, options.windows) for index in range(options.count)]
-    report = Report("Error bound with contact", command)
-    _add_evaluations(_evaluate_contact_case, cases, options, report)
-    return report
-
-
-def _evaluate_random(options: argparse.Namespace) -> Report:
-    cases, beyond = select_cases(options)
-    report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --count {options.count}")
-    report.note(f"{len(beyond)} draws beyond the cap: {_join_numbers(beyond)}")
-    _add_evaluations(evaluate_case, cases, options, report)
-    return report
-
-
-def _add_evaluations(
-    evaluate: Callable[[_Case], SceneEvaluation], cases: list[_Case], options: argparse.Namespace, report: Report
-) -> None:
+        evaluate = _evaluate_contact_case
+        cases = [(options.seed, index, options.windows) for index in range(options.count)]
+    elif options.only is not None:
+        cases, min_ratio, title = [(options.seed, options.only, options.windows)], 0.0, "Windows"
+    else:
+        cases, beyond = select_cases(options)
+        report.note(f"{len(beyond)} draws beyond the cap: {_join_numbers(beyond)}")
     done = CasePool(options.jobs, options.limit, options.resume).report(
         evaluate,
         cases,
@@ -126,12 +99,13 @@ def _add_evaluations(
         describe=_describe,
         kinds=(_Case, SceneEvaluation),
     )
-    evaluations = [evaluation for _, evaluation in done]
-    evaluations.sort(key=lambda evaluation: evaluation.index)
-    title = f"Windows above {_LISTED_RATIO} of the error bound"
-    report.tables += [_scenes(evaluations), _windows(title, evaluations, min_ratio=_LISTED_RATIO)]
+    evaluations = sorted((evaluation for _, evaluation in done), key=lambda evaluation: evaluation.index)
+    rows = [_row(evaluation) for evaluation in evaluations]
+    report.tables.append(Table("Error relative to tolerance x max(1, g)", _COLUMNS, rows))
+    report.tables.append(Table(title, _WINDOW_COLUMNS, _window_rows(evaluations, min_ratio)))
     report.note(f"{len(evaluations)} scenes evaluated")
     _add_summary(evaluations, report)
+    return report
 
 
 def select_cases(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
@@ -184,28 +158,21 @@ def _row(evaluation: SceneEvaluation) -> list[Any]:
     return [*row, evaluation.evaluations, evaluation.seconds, evaluation.longest_frame, evaluation.words]
 
 
-def _scenes(evaluations: list[SceneEvaluation]) -> Table:
-    return Table("Error relative to tolerance x max(1, g)", _COLUMNS, [_row(evaluation) for evaluation in evaluations])
+_WINDOW_COLUMNS = ["scene", "from s", "length s", "error m", "tolerance m", "g from start", "g from later", "ratio"]
+_WINDOW_COLUMNS += ["reference m", "flagged", "asleep", "frames", "evaluations", "reference evaluations", "binds"]
 
 
-def _windows(name: str, evaluations: list[SceneEvaluation], *, min_ratio: float) -> Table:
-    columns = ["scene", "from s", "length s", "error m", "tolerance m", "g from start", "g from later", "ratio"]
-    columns += ["reference m", "flagged", "asleep"]
-    table = Table(name, [*columns, "frames", "evaluations", "reference evaluations", "binds"])
+def _window_rows(evaluations: list[SceneEvaluation], min_ratio: float) -> list[list[Any]]:
+    rows: list[list[Any]] = []
     for evaluation in evaluations:
-        whole_runs = [evaluation.whole] if evaluation.whole else []
-        for window in [*evaluation.windows, *whole_runs]:
+        for window in [*evaluation.windows, *([evaluation.whole] if evaluation.whole else [])]:
             if not min_ratio or (window.is_known and window.ratio >= min_ratio):
-                table.rows.append(_window_row(evaluation, window))
-    return table
-
-
-def _window_row(evaluation: SceneEvaluation, window: Window) -> list[Any]:
-    first, length = window.first * evaluation.period, window.frames * evaluation.period
-    ratio = window.ratio if window.is_known else "unknown"
-    row: list[Any] = [evaluation.index, first, length, window.error, evaluation.tolerance, window.amplification]
-    row += [window.later_amplification or "-", ratio, window.reference_error, window.flagged, window.asleep]
-    return [*row, window.frames, window.evaluations, window.reference_evaluations, window.limited_by]
+                times = window.first * evaluation.period, window.frames * evaluation.period
+                row: list[Any] = [evaluation.index, *times, window.error, evaluation.tolerance, window.amplification]
+                row += [window.later_amplification or "-", window.ratio if window.is_known else "unknown"]
+                row += [window.reference_error, window.flagged, window.asleep, window.frames, window.evaluations]
+                rows.append([*row, window.reference_evaluations, window.limited_by])
+    return rows
 
 
 def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
@@ -242,16 +209,12 @@ def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
     if well_conditioned and len(flagged) > MAX_FLAGGED_FRACTION * len(well_conditioned):
         fraction = len(flagged) / len(well_conditioned)
         report.fail(f"{fraction:.2%} of windows with g below {CALM_AMPLIFICATION:g} are flagged")
-    whole_run_violations = [scene.index for scene in evaluations if scene.verdict == "BROKEN, whole"]
-    for description, scene_indices in (
-        ("that violate the error bound over the whole run", whole_run_violations),
-        (
-            "with forces that differ from the reference's",
-            [scene.index for scene in evaluations if scene.verdict == "FORCES DIFFER"],
-        ),
-        ("that stopped", [scene.index for scene in evaluations if scene.trouble]),
+    for description, listed in (
+        ("that violate the error bound over the whole run", [e for e in evaluations if e.verdict == "BROKEN, whole"]),
+        ("with forces that differ from the reference's", [e for e in evaluations if e.verdict == "FORCES DIFFER"]),
+        ("that stopped", [e for e in evaluations if e.trouble]),
     ):
-        report.require(not scene_indices, f"scenes {description}: {_join_numbers(scene_indices)}")
+        report.require(not listed, f"scenes {description}: {_join_numbers([e.index for e in listed])}")
 
 
 def _join_numbers(indices: list[int]) -> str:

@@ -1,24 +1,35 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Families of scenes that the search for violations climbs over: particles, springs, sheets and events."""
+"""Families of scenes that the search for violations climbs over.
+
+They are particles, springs, sheets and events, and two with references of their own: contact, and close save times.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import attrs
 import numpy as np
 from support.random_meshes import drawn_alike, outline_with_a_hole
 
-from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros import Advance, Drag, Gravity, Model, PairSprings, Scene, State, simulate
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.physics.simulate import MAX_ADVANCE
 from validation.tolerance.compiled_reference import ReferenceFailureError
-from validation.tolerance.linear_motion import LinearMotion
-from validation.tolerance.random_grips import RandomGripScript
+from validation.tolerance.contact import (
+    FINE,
+    FRICTIONS,
+    KINDS,
+    draw_contact_scene,
+    evaluate_contact_window,
+    run_contact,
+)
 from validation.tolerance.random_scenes import (
+    RandomGripScript,
     RandomScene,
     added_mass,
     bending_friction,
@@ -29,9 +40,8 @@ from validation.tolerance.random_scenes import (
     upright_orientation,
     with_cost,
 )
-from validation.tolerance.recording import MAX_FORCE_MISMATCH, RecordedRun, record_run
-from validation.tolerance.regimes import Regime, regime_scene
-from validation.tolerance.windows import Window, evaluate_window
+from validation.tolerance.regimes import LinearMotion, Regime, regime_scene
+from validation.tolerance.windows import MAX_FORCE_MISMATCH, RecordedRun, Window, evaluate_window, record_run
 
 #: Simulated time of a scene [s]; its two windows of a second start at 0 and at the half second.
 DURATION = 1.5
@@ -201,17 +211,12 @@ def hung(rng: np.random.Generator) -> Trial:
     return _evaluate_sheet(rng, _hung_sheet(rng))
 
 
-def moving(rng: np.random.Generator) -> Trial:
-    """Evaluate a sheet with initial velocities, bending, wind and gusts."""
+def moving(rng: np.random.Generator, *, carries_air: bool = False) -> Trial:
+    """Evaluate a sheet with initial velocities, bending, wind and gusts, which may carry air along."""
     values = _hung_sheet(rng) | _bending(rng, ["none", "axial", "opposite", "crossed", "altitude"])
+    if carries_air:
+        values["air.added_mass"] = added_mass(rng, values)
     return _evaluate_sheet(rng, values | sheet_air(rng), is_moving=True, gust=True)
-
-
-def carried_air(rng: np.random.Generator) -> Trial:
-    """Evaluate a moving sheet as `moving`, which carries air along."""
-    values = _hung_sheet(rng) | _bending(rng, ["none", "axial", "opposite", "crossed", "altitude"])
-    values |= {"air.added_mass": added_mass(rng, values), **sheet_air(rng)}
-    return _evaluate_sheet(rng, values, is_moving=True, gust=True)
 
 
 def fabric(rng: np.random.Generator) -> Trial:
@@ -233,17 +238,8 @@ def friction(rng: np.random.Generator) -> Trial:
     return _evaluate_sheet(rng, values, is_moving=True, gust=True)
 
 
-def mesh(rng: np.random.Generator) -> Trial:
-    """Evaluate a triangle mesh that hangs from its highest vertices."""
-    return _evaluate_mesh(rng, carries_air=False)
-
-
-def mesh_air(rng: np.random.Generator) -> Trial:
-    """Evaluate a triangle mesh as `mesh`, which carries air along."""
-    return _evaluate_mesh(rng, carries_air=True)
-
-
-def _evaluate_mesh(rng: np.random.Generator, *, carries_air: bool) -> Trial:
+def mesh(rng: np.random.Generator, *, carries_air: bool = False) -> Trial:
+    """Evaluate a triangle mesh that hangs from its highest vertices, and may carry air along."""
     values = _hung_sheet(rng) | _bending(rng, ["none", "opposite", "crossed", "altitude"])
     for name in ("cloth.size", "cloth.resolution", "cloth.shear_layout"):
         del values[name]
@@ -337,18 +333,87 @@ def _evaluate_sheet(
     return evaluate_trial(draw, {**values, "changes": {str(frame): change for frame, change in changes.items()}})
 
 
+#: Limits of the number of particles along a side of a sheet in contact.
+_SIDES = (2, 4)
+#: Kinds of contact; the reference takes minutes for a fold that lies on itself.
+_KINDS = [kind for kind in KINDS if kind != "itself"]
+#: Number of save times of a scene.
+_MAX_SAVES = 4000
+
+
+def contact(rng: np.random.Generator) -> Trial:
+    """Evaluate a small sheet that falls on an obstacle, in its first second."""
+    kind, friction = str(rng.choice(_KINDS)), float(rng.choice(FRICTIONS))
+    draw = draw_contact_scene(rng, kind, friction, _SIDES)
+    run = run_contact(draw, duration=1.0)
+    windows, trouble = list[Window](), run.trouble
+    if not trouble:
+        # Perturbations are a hundred times larger.
+        fine = min(max(FINE, 1e-4 * draw.scene.tolerance), 1e-9)
+        rngs = np.random.default_rng(0)
+        try:
+            windows.append(evaluate_contact_window(run, 0, len(run.frames), rngs, fine=fine, rough=10.0 * fine))
+        except ArithmeticError as error:
+            trouble = str(error)
+    parameters = {**draw.scene.parameters(), "positions": draw.state.positions.tolist()}
+    return Trial(
+        tolerance=draw.scene.tolerance, words=draw.words, parameters=parameters, windows=tuple(windows), trouble=trouble
+    )
+
+
+def save_times(rng: np.random.Generator) -> Trial:
+    """Evaluate a mass on joints whose motion `simulate` saves more often than each frame, at unequal intervals."""
+    count = int(rng.integers(2, 4))
+    masses = [log_uniform(rng, 1e-3, 1.0) for _ in range(count)]
+    frequencies = [log_uniform(rng, 0.3, 3000.0) for _ in range(count - 1)]
+    rigidity = [mass * frequency**2 for mass, frequency in zip(masses[1:], frequencies, strict=True)]
+    damping = [
+        2.0 * float(rng.uniform(0.0, 1.0)) * mass * frequency if rng.random() < 0.7 else 0.0
+        for mass, frequency in zip(masses[1:], frequencies, strict=True)
+    ]
+    joints = PairSprings([[k, k + 1] for k in range(count - 1)], 0.0, rigidity, damping)
+    model = Model(masses, [joints, Gravity(GRAVITY), Drag(log_uniform(rng, 0.01, 3.0))], anchors=[0])
+    spacing = log_uniform(rng, 1e-4, 0.3)
+    state = State(np.array([[0.0, 0.0, -spacing * k] for k in range(count)]))
+    state.v[:, 1:] = float(rng.uniform(0.0, 1.0)) * rng.normal(size=(3, count - 1))
+    tolerance, interval = log_uniform(rng, 1e-9, 1e-2), log_uniform(rng, 1.0 / _MAX_SAVES, MAX_ADVANCE)
+    # Alternate intervals differ.
+    share = float(rng.uniform(0.1, 0.9))
+    durations = [2.0 * interval * part for part in (share, 1.0 - share)] * math.ceil(0.5 / interval)
+    parameters = {
+        "masses": masses,
+        "rigidity": rigidity,
+        "damping": damping,
+        "drag": float(model.forces[2].rate),  # type: ignore[attr-defined]
+        "positions": state.positions.tolist(),
+        "velocities": state.velocities.tolist(),
+        "tolerance": tolerance,
+        "intervals": durations[:2],
+    }
+    exact = LinearMotion(model, state.x.copy(), state.v.copy())
+    times = np.cumsum(durations)
+    motion = simulate(model, state, float(times[-1]), save_at=times, tolerance=tolerance)
+    end = int(np.searchsorted(times, 1.0 + 1e-9))
+    saved = [positions.T for positions in motion.positions[:end]]
+    window = linear_window(exact, saved, durations[:end], motion.advances, tolerance)
+    words = f"{count - 1} joints, saved each {interval:.2g} s"
+    return Trial(tolerance=tolerance, words=words, parameters=parameters, windows=(window,))
+
+
 #: Evaluation of each family by the draws of a generator, and the number of coordinates that a climb varies.
-SCENE_FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
+FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
     "falling": (falling, 6),
     "joints": (joints, 20),
     "springs": (springs, 20),
     "thrown": (thrown, 8),
     "hung": (hung, 16),
     "moving": (moving, 40),
-    "carried-air": (carried_air, 42),
+    "carried-air": (partial(moving, carries_air=True), 42),
     "fabric": (fabric, 60),
     "friction": (friction, 50),
     "mesh": (mesh, 40),
-    "mesh-air": (mesh_air, 42),
+    "mesh-air": (partial(mesh, carries_air=True), 42),
     "events": (events, 70),
+    "contact": (contact, 24),
+    "save-times": (save_times, 18),
 }

@@ -15,42 +15,34 @@ typedef struct {
     Lanes x, y, z;
 } Vec;
 
+/* Elements of one kind: particles and constants of each. Struct `_Elements` of compiled_reference.py. */
+typedef struct {
+    int64_t count;
+    const int64_t *particles;
+    const double *numbers;
+} Elements;
+
 /* Struct `_System` of compiled_reference.py. */
 typedef struct {
     int64_t particles;
     const double *inverse_mass;
-    int64_t springs;
-    const int64_t *spring_ends;
-    const double *spring_numbers; /* k = k_s / l0 [N/m], l0 [m], k_d [N s/m] */
-    int64_t joints;
-    const int64_t *joint_ends;
-    const double *joint_numbers; /* k [N/m], k_d */
-    int64_t crossed;
-    const int64_t *crossed_particles;
-    const double *crossed_numbers; /* h0 [m], k [N/m], k_d */
-    int64_t altitudes;
-    const int64_t *altitude_particles;
-    const double *altitude_numbers;
-    int64_t quadratics;
-    const int64_t *quadratic_particles;
-    const double *quadratic_numbers; /* weights of the four corners [1/m], k [N m], damping time [s] */
-    int64_t frictions;
-    const int64_t *friction_particles;
-    const double *friction_numbers; /* k [N/m], largest deflection [m] */
-    double *plastic_lengths;        /* [frictions][LANES] [m] */
-    int64_t membranes;
-    const int64_t *membrane_particles;
-    const double *membrane_numbers; /* change of a corner's thread coordinates: p1, p2, q1, q2 [1/m], area [m^2], damping [m^3] */
-    const double *membrane_moduli;  /* C11, C12, C22, C33, D11, D12, D22, D33, then limit and rate of the growth of three */
-    int64_t panels, corners;
-    const int64_t *panel_particles;
+    Elements springs;    /* k = k_s / l0 [N/m], l0 [m], k_d [N s/m] */
+    Elements joints;     /* k [N/m], k_d */
+    Elements crossed;    /* h0 [m], k [N/m], k_d */
+    Elements altitudes;  /* as crossed */
+    Elements quadratics; /* weights of the four corners [1/m], k [N m], damping time [s] */
+    Elements frictions;  /* k [N/m], largest deflection [m] */
+    Elements membranes;  /* change of a corner's thread coordinates: p1, p2, q1, q2 [1/m], area [m^2], damping [m^3] */
+    Elements panels;     /* no constants */
+    Elements held;       /* k, k_d */
+    double *plastic_lengths;       /* [frictions][LANES] [m] */
+    const double *membrane_moduli; /* C11, C12, C22, C33, D11, D12, D22, D33, then limit and rate of the growth of three */
+    int64_t corners;               /* of a panel */
     double normal, tangential, wind[3];
     double added_mass; /* [kg/m^2] of the panels */
     double *blocks;    /* mass blocks of the air, [particles][6][LANES], if added_mass > 0 */
     double push[3], drag;
-    int64_t held;
-    const int64_t *held_particles, *held_grippers;
-    const double *held_numbers; /* k, k_d */
+    const int64_t *held_grippers;
     const double *held_offsets; /* [held][3][LANES], in the gripper's frame */
     const double *paths;        /* 26 numbers a gripper */
     double shift[8];            /* start of the interval less the start of a gripper's path [s] */
@@ -82,9 +74,9 @@ static inline Lanes inverse_above(Lanes a, Lanes limit) {
 }
 
 static void springs(const System *s, const double *x, const double *v, double *f) {
-    for (int64_t k = 0; k < s->springs; ++k) {
-        const int64_t i = s->spring_ends[2 * k], j = s->spring_ends[2 * k + 1];
-        const double *constants = s->spring_numbers + 3 * k;
+    for (int64_t k = 0; k < s->springs.count; ++k) {
+        const int64_t i = s->springs.particles[2 * k], j = s->springs.particles[2 * k + 1];
+        const double *constants = s->springs.numbers + 3 * k;
         const Vec away = minus(load(x, j), load(x, i)), rate = minus(load(v, j), load(v, i));
         const Lanes length = root(dot(away, away));
         const Lanes inverse = inverse_above(length, (Lanes){0});
@@ -93,9 +85,9 @@ static void springs(const System *s, const double *x, const double *v, double *f
         add(f, i, pull);
         add(f, j, times((Lanes){0} - 1.0, pull));
     }
-    for (int64_t k = 0; k < s->joints; ++k) {
-        const int64_t i = s->joint_ends[2 * k], j = s->joint_ends[2 * k + 1];
-        const Lanes stiff = (Lanes){0} + s->joint_numbers[2 * k], damp = (Lanes){0} + s->joint_numbers[2 * k + 1];
+    for (int64_t k = 0; k < s->joints.count; ++k) {
+        const int64_t i = s->joints.particles[2 * k], j = s->joints.particles[2 * k + 1];
+        const Lanes stiff = (Lanes){0} + s->joints.numbers[2 * k], damp = (Lanes){0} + s->joints.numbers[2 * k + 1];
         const Vec pull = plus(times(stiff, minus(load(x, j), load(x, i))), times(damp, minus(load(v, j), load(v, i))));
         add(f, i, pull);
         add(f, j, times((Lanes){0} - 1.0, pull));
@@ -131,19 +123,19 @@ static inline Lanes crossed_length(const int64_t *at, const double *x, Vec *grad
 }
 
 static void crossed(const System *s, const double *x, const double *v, double *f) {
-    for (int64_t k = 0; k < s->crossed; ++k) {
-        const int64_t *at = s->crossed_particles + 4 * k;
+    for (int64_t k = 0; k < s->crossed.count; ++k) {
+        const int64_t *at = s->crossed.particles + 4 * k;
         Vec gradient[4];
         const Lanes h = crossed_length(at, x, gradient);
-        hinge(at, s->crossed_numbers + 3 * k, h, gradient, v, f);
+        hinge(at, s->crossed.numbers + 3 * k, h, gradient, v, f);
     }
 }
 
 /* Energy k |L|^2 / 2 of L = sum of w_i x_i, damping k time |dL/dt|^2. */
 static void quadratics(const System *s, const double *x, const double *v, double *f) {
-    for (int64_t k = 0; k < s->quadratics; ++k) {
-        const int64_t *at = s->quadratic_particles + 4 * k;
-        const double *w = s->quadratic_numbers + 6 * k;
+    for (int64_t k = 0; k < s->quadratics.count; ++k) {
+        const int64_t *at = s->quadratics.particles + 4 * k;
+        const double *w = s->quadratics.numbers + 6 * k;
         Vec fold = {{0}, {0}, {0}};
         for (int c = 1; c < 4; ++c) {
             const Vec away = minus(load(x, at[c]), load(x, at[0])), rate = minus(load(v, at[c]), load(v, at[0]));
@@ -160,9 +152,9 @@ static inline Lanes between(Lanes a, Lanes low, Lanes high) {
 
 /* Tension -k e of an elasto-plastic spring, e = h - h_p cut to the largest deflection; h is that of crossed hinges. */
 static void frictions(const System *s, const double *x, double *f) {
-    for (int64_t k = 0; k < s->frictions; ++k) {
-        const int64_t *at = s->friction_particles + 4 * k;
-        const double *numbers = s->friction_numbers + 2 * k;
+    for (int64_t k = 0; k < s->frictions.count; ++k) {
+        const int64_t *at = s->frictions.particles + 4 * k;
+        const double *numbers = s->frictions.numbers + 2 * k;
         Vec gradient[4];
         const Lanes h = crossed_length(at, x, gradient), reach = (Lanes){0} + numbers[1];
         const Lanes deflection = between(h - *(const Lanes *)(s->plastic_lengths + LANES * k), -reach, reach);
@@ -172,9 +164,9 @@ static void frictions(const System *s, const double *x, double *f) {
 
 /* Plastic lengths after a step h from y to next. Each follows the extremes of the cubic through h and its rates. */
 static void flow(const System *s, double step, const double *y, const double *next, int64_t half) {
-    for (int64_t k = 0; k < s->frictions; ++k) {
-        const int64_t *at = s->friction_particles + 4 * k;
-        const double reach = s->friction_numbers[2 * k + 1];
+    for (int64_t k = 0; k < s->frictions.count; ++k) {
+        const int64_t *at = s->frictions.particles + 4 * k;
+        const double reach = s->frictions.numbers[2 * k + 1];
         double *plastic = s->plastic_lengths + LANES * k;
         Vec gradient[4];
         Lanes h[2], rate[2] = {{0}};
@@ -214,9 +206,9 @@ static void flow(const System *s, double step, const double *y, const double *ne
  * stress r x^2 (e - 2 x / 3), x the strain e between its limits. */
 static void membranes(const System *s, const double *x, const double *v, double *f) {
     const double *c = s->membrane_moduli, *d = c + 4, *growth = c + 8;
-    for (int64_t k = 0; k < s->membranes; ++k) {
-        const int64_t *at = s->membrane_particles + 3 * k;
-        const double *n = s->membrane_numbers + 6 * k;
+    for (int64_t k = 0; k < s->membranes.count; ++k) {
+        const int64_t *at = s->membranes.particles + 3 * k;
+        const double *n = s->membranes.numbers + 6 * k;
         const double along[3] = {-n[0] - n[1], n[0], n[1]}, across[3] = {-n[2] - n[3], n[2], n[3]};
         Vec a = {{0}, {0}, {0}}, b = a, da = a, db = a;
         for (int i = 1; i < 3; ++i) {
@@ -245,8 +237,8 @@ static void membranes(const System *s, const double *x, const double *v, double 
 /* h = 6V / M, M^2 the sum of the squared |a x b| of the four faces; none where all points are on a line to 1e-12. */
 static void altitudes(const System *s, const double *x, const double *v, double *f) {
     static const int faces[4][3] = {{0, 1, 2}, {0, 1, 3}, {0, 2, 3}, {1, 2, 3}};
-    for (int64_t k = 0; k < s->altitudes; ++k) {
-        const int64_t *at = s->altitude_particles + 4 * k;
+    for (int64_t k = 0; k < s->altitudes.count; ++k) {
+        const int64_t *at = s->altitudes.particles + 4 * k;
         Vec p[4], half[4] = {{{0}}}, gradient[4];
         for (int c = 0; c < 4; ++c) p[c] = load(x, at[c]);
         Lanes square = {0};
@@ -268,7 +260,7 @@ static void altitudes(const System *s, const double *x, const double *v, double 
             gradient[i] = minus(times(inverse, volume[i]), times(h * inverse_square, half[i]));
             gradient[0] = minus(gradient[0], gradient[i]);
         }
-        hinge(at, s->altitude_numbers + 3 * k, h, gradient, v, f);
+        hinge(at, s->altitudes.numbers + 3 * k, h, gradient, v, f);
     }
 }
 
@@ -276,8 +268,8 @@ static void altitudes(const System *s, const double *x, const double *v, double 
 static void panels(const System *s, const double *x, const double *v, double *f) {
     const int corners = (int)s->corners;
     const Vec wind = {(Lanes){0} + s->wind[0], (Lanes){0} + s->wind[1], (Lanes){0} + s->wind[2]};
-    for (int64_t k = 0; k < s->panels; ++k) {
-        const int64_t *at = s->panel_particles + corners * k;
+    for (int64_t k = 0; k < s->panels.count; ++k) {
+        const int64_t *at = s->panels.particles + corners * k;
         const Vec p0 = load(x, at[0]), p1 = load(x, at[1]), p2 = load(x, at[2]);
         const Vec a = corners == 3 ? minus(p1, p0) : minus(p2, p0);
         const Vec b = corners == 3 ? minus(p2, p0) : minus(load(x, at[3]), p1);
@@ -300,8 +292,8 @@ static void carried_air(const System *s, const double *x, const double *v, doubl
     const double m = s->added_mass / corners;
     const Vec wind = {(Lanes){0} + s->wind[0], (Lanes){0} + s->wind[1], (Lanes){0} + s->wind[2]};
     memset(s->blocks, 0, (size_t)s->particles * 6 * LANES * sizeof(double));
-    for (int64_t k = 0; k < s->panels; ++k) {
-        const int64_t *at = s->panel_particles + corners * k;
+    for (int64_t k = 0; k < s->panels.count; ++k) {
+        const int64_t *at = s->panels.particles + corners * k;
         Vec p[4], u[4];
         for (int c = 0; c < corners; ++c) p[c] = load(x, at[c]), u[c] = minus(load(v, at[c]), wind);
         /* Area vector q = (1/2) sum of p_c x p_(c+1), and its rate. */
@@ -389,19 +381,19 @@ static void pose(const double *path, double t, double *position, double *speed, 
 static void grips(const System *s, double t, const double *x, const double *v, double *f) {
     int64_t gripper = -1;
     double position[3], speed[3], rotation[3][3], spin[3];
-    for (int64_t k = 0; k < s->held; ++k) {
+    for (int64_t k = 0; k < s->held.count; ++k) {
         if (s->held_grippers[k] != gripper) {
             gripper = s->held_grippers[k];
             pose(s->paths + 26 * gripper, t + s->shift[gripper], position, speed, rotation, spin);
         }
-        const int64_t i = s->held_particles[k];
+        const int64_t i = s->held.particles[k];
         const Vec offset = load(s->held_offsets, k);
         Lanes arm[3];
         for (int c = 0; c < 3; ++c) arm[c] = rotation[0][c] * offset.x + rotation[1][c] * offset.y + rotation[2][c] * offset.z;
         const Vec point = {position[0] + arm[0], position[1] + arm[1], position[2] + arm[2]};
         const Vec motion = {speed[0] + (spin[1] * arm[2] - spin[2] * arm[1]), speed[1] + (spin[2] * arm[0] - spin[0] * arm[2]),
                             speed[2] + (spin[0] * arm[1] - spin[1] * arm[0])};
-        const Lanes stiff = (Lanes){0} + s->held_numbers[2 * k], damp = (Lanes){0} + s->held_numbers[2 * k + 1];
+        const Lanes stiff = (Lanes){0} + s->held.numbers[2 * k], damp = (Lanes){0} + s->held.numbers[2 * k + 1];
         const Vec pull = plus(times(stiff, minus(point, load(x, i))), times(damp, minus(motion, load(v, i))));
         add(f, i, pull);
     }
@@ -412,14 +404,14 @@ void accelerations(const System *s, double t, const double *x, const double *v, 
     const int64_t n = s->particles;
     memset(a, 0, (size_t)n * 3 * LANES * sizeof(double));
     springs(s, x, v, a);
-    if (s->crossed) crossed(s, x, v, a);
-    if (s->altitudes) altitudes(s, x, v, a);
-    if (s->quadratics) quadratics(s, x, v, a);
-    if (s->frictions) frictions(s, x, a);
-    if (s->membranes) membranes(s, x, v, a);
-    if (s->panels) panels(s, x, v, a);
+    if (s->crossed.count) crossed(s, x, v, a);
+    if (s->altitudes.count) altitudes(s, x, v, a);
+    if (s->quadratics.count) quadratics(s, x, v, a);
+    if (s->frictions.count) frictions(s, x, a);
+    if (s->membranes.count) membranes(s, x, v, a);
+    if (s->panels.count) panels(s, x, v, a);
     if (s->added_mass > 0.0) carried_air(s, x, v, a);
-    if (s->held) grips(s, t, x, v, a);
+    if (s->held.count) grips(s, t, x, v, a);
     for (int64_t i = 0; i < n; ++i) {
         const double inverse = s->inverse_mass[i], free = inverse > 0.0 ? 1.0 : 0.0;
         Lanes *at = (Lanes *)(a + 3 * LANES * i);
@@ -550,7 +542,7 @@ int advance(const System *s, const Method *m, Control *control, double duration,
             h = fmin(longest, step < h ? fmax(factor * step, fmin(h, duration)) : factor * step);
             rejected = 0;
             t = last ? duration : t + step;
-            if (s->frictions) flow(s, step, y, next, half);
+            if (s->frictions.count) flow(s, step, y, next, half);
             memcpy(y, next, 2 * (size_t)half * sizeof(double));
             if (t < duration) {
                 accelerations(s, t, y, y + half, k[0]);

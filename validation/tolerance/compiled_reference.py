@@ -21,24 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 from support.reference_kernel import compiled, find_compiler
 
+from cloth_sim_ros import (
+    AddedMass,
+    AirPanels,
+    AltitudeSprings,
+    BendingFriction,
+    CrossedSprings,
+    Drag,
+    Gravity,
+    GridSprings,
+    Grips,
+    MembraneTriangles,
+    Model,
+    PairSprings,
+    QuadraticHinges,
+    Wind,
+)
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
-from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.model.forces.bending_friction import BendingFriction
 from cloth_sim_ros.physics.model.forces.couplings import Couplings
-from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
-from cloth_sim_ros.physics.model.forces.membrane_triangles import MembraneTriangles
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.forces.quadratic import QuadraticHinges
-from cloth_sim_ros.physics.model.forces.wind import Wind
-from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import ElementList
 
 #: Trajectories side by side: the solution and `LANES` - 1 perturbed ones.
@@ -51,9 +53,18 @@ FLAGS = ("-O3", "-march=native", "-std=gnu11", "-fPIC", "-fno-math-errno", f"-DL
 
 _SOURCE = Path(__file__).with_name("compiled_reference.c")
 _MAX_GRIPPERS = 8
+#: Kinds of elements in the order of struct `System`, and the cost of one relative to that of a spring.
+_KINDS = {"springs": 1, "joints": 1, "crossed": 4, "altitudes": 6, "quadratics": 2, "frictions": 4, "membranes": 3}
+_KINDS |= {"panels": 3, "held": 0}
 _POINTER = ctypes.c_void_p
 _COUNT = ctypes.c_int64
 _DOUBLE = ctypes.c_double
+
+
+class _Elements(ctypes.Structure):
+    """Struct `Elements` of compiled_reference.c."""
+
+    _fields_ = (("count", _COUNT), ("particles", _POINTER), ("numbers", _POINTER))
 
 
 class _System(ctypes.Structure):
@@ -62,32 +73,10 @@ class _System(ctypes.Structure):
     _fields_ = (
         ("particles", _COUNT),
         ("inverse_mass", _POINTER),
-        ("springs", _COUNT),
-        ("spring_ends", _POINTER),
-        ("spring_numbers", _POINTER),
-        ("joints", _COUNT),
-        ("joint_ends", _POINTER),
-        ("joint_numbers", _POINTER),
-        ("crossed", _COUNT),
-        ("crossed_particles", _POINTER),
-        ("crossed_numbers", _POINTER),
-        ("altitudes", _COUNT),
-        ("altitude_particles", _POINTER),
-        ("altitude_numbers", _POINTER),
-        ("quadratics", _COUNT),
-        ("quadratic_particles", _POINTER),
-        ("quadratic_numbers", _POINTER),
-        ("frictions", _COUNT),
-        ("friction_particles", _POINTER),
-        ("friction_numbers", _POINTER),
+        *((kind, _Elements) for kind in _KINDS),
         ("plastic_lengths", _POINTER),
-        ("membranes", _COUNT),
-        ("membrane_particles", _POINTER),
-        ("membrane_numbers", _POINTER),
         ("membrane_moduli", _POINTER),
-        ("panels", _COUNT),
         ("corners", _COUNT),
-        ("panel_particles", _POINTER),
         ("normal", _DOUBLE),
         ("tangential", _DOUBLE),
         ("wind", _DOUBLE * 3),
@@ -95,10 +84,7 @@ class _System(ctypes.Structure):
         ("blocks", _POINTER),
         ("push", _DOUBLE * 3),
         ("drag", _DOUBLE),
-        ("held", _COUNT),
-        ("held_particles", _POINTER),
         ("held_grippers", _POINTER),
-        ("held_numbers", _POINTER),
         ("held_offsets", _POINTER),
         ("paths", _POINTER),
         ("shift", _DOUBLE * _MAX_GRIPPERS),
@@ -224,14 +210,19 @@ class ReferenceSystem:
             elif not isinstance(force, Grips):
                 raise ValueError(f"the reference does not know the force '{force.name}'")
         self._set_pairs(pairs, couplings)
-        for kind, prefix, total in (("crossed", "crossed", "crossed"), ("altitude", "altitude", "altitudes")):
-            self._set_hinges(lists[kind], prefix, total)
+        self._set_hinges(lists["crossed"], "crossed")
+        self._set_hinges(lists["altitude"], "altitudes")
 
     def _store_array(self, array: Any, dtype: type) -> int:
         """Store a copy of an array as long as the system lives; return its address."""
         copy: NDArray[Any] = np.array(array, dtype=dtype, order="C")
         self._arrays.append(copy)
         return int(copy.ctypes.data)
+
+    def _set_elements(self, kind: str, particles: Any, numbers: Any) -> None:
+        """Set all elements of a kind: their particles, shape (m, corners), and constants, shape (m, constants)."""
+        particles_address = self._store_array(particles, np.int64)
+        setattr(self._c, kind, _Elements(len(particles), particles_address, self._store_array(numbers, np.float64)))
 
     def _set_pairs(self, lists: Sequence[PairSprings], couplings: Sequence[Couplings]) -> None:
         """Set springs and joints. A coupling is a joint, whose constant may be negative."""
@@ -246,56 +237,41 @@ class ReferenceSystem:
             )
         )
         is_joint = rest_length == 0.0
-        system, is_spring = self._c, ~is_joint
+        is_spring = ~is_joint
         joint_ends = np.concatenate([ends[is_joint], *(coupling.pairs for coupling in couplings)])
         joint_numbers = [np.stack([stiffness[is_joint], damping[is_joint]], axis=1)]
         joint_numbers += [np.outer(coupling.constants, [1.0, coupling.damping_time]) for coupling in couplings]
-        system.springs, system.joints = int(is_spring.sum()), len(joint_ends)
-        system.spring_ends = self._store_array(ends[is_spring], np.int64)
-        system.joint_ends = self._store_array(joint_ends, np.int64)
         spring_lengths = rest_length[is_spring]
         coefficients = np.stack([stiffness[is_spring] / spring_lengths, spring_lengths, damping[is_spring]], axis=1)
-        system.spring_numbers = self._store_array(coefficients, np.float64)
-        system.joint_numbers = self._store_array(np.concatenate(joint_numbers), np.float64)
+        self._set_elements("springs", ends[is_spring], coefficients)
+        self._set_elements("joints", joint_ends, np.concatenate(joint_numbers))
 
     def _set_quadratics(self, force: QuadraticHinges) -> None:
-        system, count = self._c, len(force.hinges)
-        system.quadratics = count
-        system.quadratic_particles = self._store_array(force.hinges, np.int64)
-        constants = np.stack([force.stiffness, np.full(count, force.damping_time)], axis=1)
-        system.quadratic_numbers = self._store_array(np.concatenate([force.weights, constants], axis=1), np.float64)
+        constants = np.stack([force.stiffness, np.full(len(force.hinges), force.damping_time)], axis=1)
+        self._set_elements("quadratics", force.hinges, np.concatenate([force.weights, constants], axis=1))
 
     def _set_friction(self, force: BendingFriction) -> None:
-        system = self._c
-        system.frictions = len(force.hinges)
-        system.friction_particles = self._store_array(force.hinges, np.int64)
-        system.friction_numbers = self._store_array(np.stack([force.stiffness, force.reach], axis=1), np.float64)
+        self._set_elements("frictions", force.hinges, np.stack([force.stiffness, force.reach], axis=1))
         self.plastic_lengths = np.repeat(force.rest_length[:, None], LANES, axis=1)
-        system.plastic_lengths = self.plastic_lengths.ctypes.data
+        self._c.plastic_lengths = self.plastic_lengths.ctypes.data
 
     def _set_membrane(self, force: MembraneTriangles) -> None:
         (elements,) = [part for part in force.parts(self.model.particle_count) if isinstance(part, ElementList)]
-        system = self._c
-        system.membranes = len(force.triangles)
-        system.membrane_particles = self._store_array(force.triangles, np.int64)
-        system.membrane_numbers = self._store_array(force.coefficients, np.float64)
+        self._set_elements("membranes", force.triangles, force.coefficients)
         moduli, shared = np.zeros(14), np.asarray(elements.shared_coefficients)
         moduli[: shared.size] = shared
-        system.membrane_moduli = self._store_array(moduli, np.float64)
+        self._c.membrane_moduli = self._store_array(moduli, np.float64)
 
-    def _set_hinges(self, lists: Sequence[HingeSprings], prefix: str, total: str) -> None:
-        if not lists:
-            return
-        particles = np.concatenate([hinges.hinges for hinges in lists])
-        coefficients = [np.stack([hinges.rest_length, hinges.stiffness, hinges.damping], axis=1) for hinges in lists]
-        setattr(self._c, total, len(particles))
-        setattr(self._c, f"{prefix}_particles", self._store_array(particles, np.int64))
-        setattr(self._c, f"{prefix}_numbers", self._store_array(np.concatenate(coefficients), np.float64))
+    def _set_hinges(self, lists: Sequence[HingeSprings], kind: str) -> None:
+        if lists:
+            particles = np.concatenate([hinges.hinges for hinges in lists])
+            numbers = [np.stack([hinges.rest_length, hinges.stiffness, hinges.damping], axis=1) for hinges in lists]
+            self._set_elements(kind, particles, np.concatenate(numbers))
 
     def _set_panels(self, force: AirPanels | AddedMass) -> None:
         system = self._c
-        system.panels, system.corners = force.panels.shape
-        system.panel_particles = self._store_array(force.panels, np.int64)
+        self._set_elements("panels", force.panels, np.empty(0))
+        system.corners = force.panels.shape[1]
         system.wind[:] = force.wind.tolist()
         if isinstance(force, AirPanels):
             system.normal, system.tangential = force.normal, force.tangential
@@ -309,15 +285,14 @@ class ReferenceSystem:
     @property
     def evaluation_cost(self) -> float:
         """Cost of one evaluation relative to that of one spring."""
-        c = self._c
-        hinges = 4 * c.crossed + 6 * c.altitudes + 2 * c.quadratics + 4 * c.frictions
-        return float(c.springs + c.joints + hinges + 3 * c.membranes + 3 * c.panels + 4 * c.particles)
+        elements = sum(cost * getattr(self._c, kind).count for kind, cost in _KINDS.items())
+        return float(elements + 4 * self.model.particle_count)
 
     def set_grasped(self, grasped: GripTable | None, t: float) -> None:
         """Set the grasped particles from time t [s] on, which becomes the time origin."""
         system = self._c
         if grasped is None or not len(grasped.particles):
-            system.held = 0
+            system.held = _Elements()
             return
         if len(grasped.paths) > _MAX_GRIPPERS or grasped.paths.shape[1] != PATH_NUMBERS:
             raise ValueError(f"paths have shape {grasped.paths.shape}; there are {_MAX_GRIPPERS} grippers at most")
@@ -327,10 +302,9 @@ class ReferenceSystem:
             np.ascontiguousarray(grasped.grippers, dtype=np.int64),
             *(np.ascontiguousarray(a, dtype=np.float64) for a in (grasped.numbers, grasped.offsets, grasped.paths)),
         ]
-        system.held = len(grasped.particles)
-        names = ("held_particles", "held_grippers", "held_numbers", "held_offsets", "paths")
-        for name, array in zip(names, self._grasp_arrays, strict=True):
-            setattr(system, name, array.ctypes.data)
+        particles, grippers, numbers, offsets, paths = (array.ctypes.data for array in self._grasp_arrays)
+        system.held = _Elements(len(grasped.particles), particles, numbers)
+        system.held_grippers, system.held_offsets, system.paths = grippers, offsets, paths
         system.shift[: len(grasped.paths)] = (t - grasped.paths[:, 0]).tolist()
 
     def set_plastic_lengths(self, lengths: Array) -> None:

@@ -12,8 +12,8 @@ import argparse
 import numpy as np
 from support.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 
+from cloth_sim_ros import Extrapolated
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
-from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from validation.report import Report, Table
 
 #: Largest perturbation of a particle's position [m].
@@ -59,4 +59,4 @@ def run(options: argparse.Namespace) -> Report:
         is_pointwise = "yes" if worst.max() < CHAOTIC_AMPLIFICATION else "no"
         row = [name, scene.duration, float(worst[len(worst) // 2]), float(worst[-1]), float(worst.max()), is_pointwise]
         table.rows.append(row)
-    return Report("Conditioning", "python -m validation conditioning", tables=[table])
+    return Report("Conditioning", tables=[table])

@@ -19,12 +19,10 @@ from support.raw_sheet import RawSheet
 from support.reference import Reference, reference
 from support.reference_runs import measure
 
+from cloth_sim_ros import Grasp, Scene, Simulation, State, Target
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.constants import CONSTANTS, Constants
-from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event
 from validation.report import Report, Table
 
 #: Scenes with a reference, their tolerances [m], and the integrator.
@@ -96,8 +94,7 @@ class ConstantsEffect:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     names = [field.name for field in attrs.fields(Constants)]
-    constants = "constants to vary (all)"
-    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", default=names, help=constants)
+    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", default=names, help="constants to vary")
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -108,7 +105,7 @@ def run(options: argparse.Namespace) -> Report:
     for change in ("half", "double"):
         columns += [f"{change}: {column}" for column in ("error", "work", "flagged", "gain", "awake", "left out")]
     table = Table("Tuned numbers", columns)
-    report = Report("Constants", "python -m validation constants", tables=[table])
+    report = Report("Constants", tables=[table])
     scenes = ConstantsScenes()
     baseline = scenes.effect()
     for field in tqdm([field for field in attrs.fields(Constants) if field.name in options.only], unit="constant"):

@@ -11,8 +11,8 @@ from support.problems import MORE_PROBLEMS, PROBLEMS, problem
 from support.reference import reference
 from support.reference_runs import measure
 
+from cloth_sim_ros import Scene
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS
-from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> Report:
     table = Table("Achieved error", columns)
     columns = ["scene", "tolerances", "slope"]
     slopes = Table("Slope of achieved error over tolerance if accuracy limits the step", columns)
-    report = Report("Tolerance held", "python -m validation tolerance-sweep", tables=[table, slopes])
+    report = Report("Tolerance held", tables=[table, slopes])
     for name in options.scenes:
         scene = problem(name)
         known = reference(scene)

@@ -1,23 +1,151 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Command `work-precision`: wall time against error of product and library solvers."""
+"""Command `work-precision`: wall time against error of the product's integrators and of library solvers."""
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import statistics
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
 
 import attrs
-from support.problems import MORE_PROBLEMS, PROBLEMS, Problem, problem
-from support.reference import Reference, reference
+import numpy as np
+from scipy.integrate import solve_ivp
+from support.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
+from support.reference import Reference, RightSide, reference
 from support.reference_runs import measure
 
+from cloth_sim_ros import Plan, Scene, State
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.integrators.base import Integrator
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan import thread_limit
-from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table
-from validation.tolerance.baselines import SolverSetting, SolverTimeoutError, library_solvers, product_solvers
 from validation.tolerance.sweep import MAX_RESIDUAL
+
+
+class SolverTimeoutError(RuntimeError):
+    """The solver exceeded its time limit."""
+
+
+@attrs.frozen
+class SolverRun:
+    """One solution: final positions (3, n) [m], wall time [s] and force evaluations."""
+
+    positions: Array
+    seconds: float
+    evaluations: int
+
+
+@attrs.frozen
+class SolverSetting:
+    """A method at one setting."""
+
+    name: str
+    setting: str
+    #: `ours` (the product), `alone` (the product on one thread), `library`, or `beside` (in no comparison).
+    kind: str
+    solve: Callable[[Problem, float], SolverRun]
+    #: Requested tolerance [m]; infinite for a fixed step.
+    tolerance: float = math.inf
+
+
+def library_solvers(*, slow: bool) -> list[SolverSetting]:
+    """Return every library solver at several tolerances; `slow` adds those that take minutes."""
+    solvers = []
+    for method, tolerances in (
+        ("RK45", (1e-2, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)),
+        ("DOP853", (1e-2, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 1e-6, 5e-7, 2e-7, 1e-7, 1e-8)),
+    ):
+        solvers += [_scipy(method, tolerance) for tolerance in tolerances]
+    if slow:
+        solvers += [_scipy("LSODA", tolerance) for tolerance in (1e-4, 1e-7)]
+    if importlib.util.find_spec("sksundae") is not None:
+        adams_tolerances = (1e-2, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+        solvers += [_cvode("Adams", None, tolerance) for tolerance in adams_tolerances]
+        solvers += [_cvode("BDF", "gmres", tolerance) for tolerance in (1e-5, 1e-7, 1e-9)]
+    return solvers
+
+
+def product_solvers(tolerances: tuple[float, ...]) -> list[SolverSetting]:
+    """Return `auto` at several tolerances, with all threads and with one, and leapfrogs of fixed steps."""
+    solvers = [_product_solver("auto", tolerance, single_threaded=False) for tolerance in tolerances]
+    solvers += [_product_solver("auto", tolerance, single_threaded=True) for tolerance in tolerances]
+    return [*solvers, *(_fixed_step_leapfrog(fraction) for fraction in (0.9, 0.45, 0.225))]
+
+
+def _product_solver(name: str, tolerance: float, *, single_threaded: bool) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
+        plan, state = problem.build()
+        with thread_limit.single_threaded() if single_threaded else nullcontext():
+            return _advance(problem, plan, state, make_integrator(name, tolerance=tolerance))
+
+    kind, label = ("alone", f"{name}, one thread") if single_threaded else ("ours", name)
+    return SolverSetting(f"cloth_sim_ros, {label}", f"tolerance {tolerance:g}", kind, solve, tolerance)
+
+
+def _fixed_step_leapfrog(limit_fraction: float) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
+        plan, state = problem.build()
+        step = limit_fraction * make_integrator("leapfrog").step_limit(*plan.spectral_bounds(state.x))
+        return _advance(problem, plan, state, make_integrator("leapfrog", step=step))
+
+    return SolverSetting("plain leapfrog", f"{limit_fraction:g} of the limit", "beside", solve)
+
+
+def _advance(problem: Problem, plan: Plan, state: State, integrator: Integrator) -> SolverRun:
+    evaluations, begin = 0, time.perf_counter()
+    for frame in range(problem.frames):
+        evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
+    return SolverRun(state.x, time.perf_counter() - begin, evaluations)
+
+
+def _scipy(method: str, tolerance: float) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
+        plan, state = problem.build()
+        right = _Limited(RightSide(plan), limit)
+        begin = time.perf_counter()
+        span, start = (0.0, problem.duration), right.inner.start(state)
+        solved = solve_ivp(right, span, start, method=method, rtol=tolerance, atol=tolerance)
+        seconds = time.perf_counter() - begin
+        return SolverRun(np.ascontiguousarray(right.inner.positions(solved.y[:, -1])), seconds, right.inner.calls)
+
+    return SolverSetting(f"scipy {method}", f"rtol = atol = {tolerance:g}", "library", solve)
+
+
+def _cvode(method: str, linear: str | None, tolerance: float) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
+        from sksundae.cvode import CVODE
+
+        plan, state = problem.build()
+        right = RightSide(plan)
+        options = {"linsolver": linear} if linear else {"linsolver": "gmres"}
+        solver = CVODE(right.fill, method=method, rtol=tolerance, atol=tolerance, max_num_steps=10**7, **options)
+        begin = time.perf_counter()
+        solved = solver.solve(np.array([0.0, problem.duration]), right.start(state))
+        seconds = time.perf_counter() - begin
+        return SolverRun(np.ascontiguousarray(right.positions(solved.y[-1])), seconds, right.calls)
+
+    name = f"CVODE {method}" + (" + GMRES" if linear else "")
+    return SolverSetting(name, f"rtol = atol = {tolerance:g}", "library", solve)
+
+
+class _Limited:
+    """Right-hand side that raises `SolverTimeoutError` after a time limit [s]."""
+
+    def __init__(self, inner: RightSide, limit: float) -> None:
+        self.inner = inner
+        self._end = time.perf_counter() + limit
+
+    def __call__(self, t: float, y: Array) -> Array:
+        if time.perf_counter() > self._end:
+            raise SolverTimeoutError
+        return self.inner(t, y)
+
 
 #: Required speedup over the best library solver, by error [m].
 MIN_SPEEDUPS = {1e-5: 10.0, 1e-7: 5.0, 1e-10: 2.5}
@@ -71,17 +199,12 @@ def run(options: argparse.Namespace) -> Report:
             if repeat == 0 or run_before.seconds < 5.0:
                 # No time limit: the first run of this solver was within it.
                 times[solver].append(solver.solve(scene, math.inf).seconds)
-    points = [
-        SolverPoint(
-            solver,
-            scene_reference.deviation(scene.frames, solver_run.positions),
-            times[solver],
-            solver_run.evaluations,
-            _residual(solver, scene, scene_reference),
-        )
-        for solver, solver_run in first_runs.items()
-    ]
-    report = Report(f"Work-precision on {scene.name}", f"python -m validation work-precision --scene {scene.name}")
+    points = []
+    for solver, solver_run in first_runs.items():
+        error = scene_reference.deviation(scene.frames, solver_run.positions)
+        residual = _residual(solver, scene, scene_reference)
+        points.append(SolverPoint(solver, error, times[solver], solver_run.evaluations, residual))
+    report = Report(f"Work-precision on {scene.name}")
     reference_error = f"the reference's own error is {scene_reference.error:.1g} m"
     report.note(f"{scene.description}; errors at {scene.duration:g} s; {reference_error}")
     report.notes += timeouts
@@ -108,9 +231,9 @@ def _all_runs(points: list[SolverPoint]) -> Table:
     columns = ["solver", "setting", "error m", "wall s", "least s", "most s", "evaluations", "energy residual"]
     table = Table("All runs", columns)
     for point in points:
-        row = [point.solver.name, point.solver.setting, point.error, point.median]
-        table.rows.append([*row, min(point.seconds), max(point.seconds), point.evaluations])
-        table.rows[-1].append("" if point.residual is None else point.residual)
+        row = [point.solver.name, point.solver.setting, point.error, point.median, min(point.seconds)]
+        residual = "" if point.residual is None else point.residual
+        table.rows.append([*row, max(point.seconds), point.evaluations, residual])
     return table
 
 
@@ -118,16 +241,14 @@ def _comparison(points: list[SolverPoint], report: Report, scene: str) -> Table:
     columns = ["error m", "product s", "by", "one thread s", "best library s", "by library", "times"]
     table = Table("Least time to an error", [*columns, "times by one thread"])
     for error, min_speedup in MIN_SPEEDUPS.items():
-        product = _fastest(points, "ours", error)
-        single_thread = _fastest(points, "alone", error)
-        library = _fastest(points, "library", error)
+        product, single_thread, library = (_fastest(points, kind, error) for kind in ("ours", "alone", "library"))
         if product is None or single_thread is None or library is None:
             report.note(f"no comparison at {error:g} m: product or library did not reach it")
             continue
         speedup = library.median / product.median
         names = [f"{point.solver.name} {point.solver.setting}" for point in (product, library)]
-        table.rows.append([error, product.median, names[0], single_thread.median, library.median, names[1], speedup])
-        table.rows[-1].append(library.median / single_thread.median)
+        row = [error, product.median, names[0], single_thread.median, library.median, names[1], speedup]
+        table.rows.append([*row, library.median / single_thread.median])
         if scene in ("curtain16", "curtain32") and speedup < min_speedup:
             report.fail(f"speedup over the best library at {error:g} m is {speedup:.2g}; required: {min_speedup:g}")
     return table
