@@ -177,7 +177,7 @@ def _prepare_named(
 
 @attrs.frozen(kw_only=True, eq=False)
 class _Chooser:
-    """Chooses the grasped particles by simulations of several combinations."""
+    """Choice of grasped particles by simulations of several combinations."""
 
     recordings: Sequence[Recording]
     scene: Scene

@@ -38,7 +38,7 @@ _GRAVITY = 9.81
 
 
 class LaboratoryError(ValueError):
-    """A test that can't be done. The message is for the command line."""
+    """Error: a test can't be done. The message is for the command line."""
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -37,7 +37,7 @@ def held_path(name: str) -> str:
 
 
 class GripperView:
-    """Draws a session's grippers in Rerun.
+    """Drawing of a session's grippers in Rerun.
 
     Args:
         tracks: their poses and held particles.

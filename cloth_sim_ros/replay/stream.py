@@ -51,7 +51,7 @@ class _ShownCloud(NamedTuple):
 
 
 class ReplayStream:
-    """Shows the messages of one session in Rerun, in batches.
+    """Stream of one session's messages into Rerun, in batches.
 
     Args:
         recording: Rerun stream.

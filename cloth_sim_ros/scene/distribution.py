@@ -35,7 +35,7 @@ _REPORTED_DIFFERENCE = 1.0
 
 
 class DistributionError(ParameterError):
-    """A distribution that cannot be used; the message gives cause and remedy."""
+    """Error: a distribution of parameters cannot be used; the message gives cause and remedy."""
 
 
 @attrs.frozen(kw_only=True)

@@ -45,7 +45,7 @@ SavedBalance: TypeAlias = tuple[tuple[float, float], EnergyReport]
 
 
 class EnergyWatch:
-    """Sums up the energy balance over frames. Changes by events between two frames are left out.
+    """Sums of the energy balance over frames. Changes by events between two frames are left out.
 
     Args:
         plan: the equations of motion of the simulation.

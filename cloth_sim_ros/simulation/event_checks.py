@@ -44,7 +44,7 @@ _GRIPPER_EVENTS = (Target, Grasp)
 
 
 class EventError(ValueError):
-    """An event that can't take effect; the message gives the reason."""
+    """Error: an event can't take effect; the message gives the reason."""
 
 
 def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> list[Event]:

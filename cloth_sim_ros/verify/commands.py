@@ -48,7 +48,7 @@ class _PendingTarget(NamedTuple):
 
 
 class CommandCheck:
-    """Compares received commands with the events of the next frames, message by message in the order of the file.
+    """Comparison of received commands with the events of the next frames, message by message in the file's order.
 
     Args:
         node: resolved name of the node.

@@ -39,7 +39,7 @@ class _TopicState:
 
 
 class CompletenessCheck:
-    """Finds missing messages of a session: by sequence numbers, log times and end records.
+    """Search for missing messages of a session: by sequence numbers, log times and end records.
 
     Args:
         findings: collects missing messages and differences.

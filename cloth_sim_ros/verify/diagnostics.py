@@ -43,7 +43,7 @@ _MAX_EDGES = 400_000
 
 
 class DiagnosticsCheck:
-    """Compares the recorded diagnostics of one node with the re-run.
+    """Comparison of one node's recorded diagnostics with the re-run.
 
     Args:
         node: resolved name of the node.
@@ -188,7 +188,7 @@ class DiagnosticsCheck:
 
 
 class _StrainGauge:
-    """Measures the largest strain of a cloth's edges."""
+    """Gauge of the largest strain of a cloth's edges."""
 
     def __init__(self, scene: Scene) -> None:
         triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()

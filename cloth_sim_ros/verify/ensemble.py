@@ -44,7 +44,7 @@ class _Step(NamedTuple):
 
 
 class EnsembleCheck:
-    """Compares the recorded clouds of a node's ensemble with members that run again.
+    """Comparison of the recorded clouds of a node's ensemble with members that run again.
 
     Args:
         node: resolved name of the node.

@@ -22,7 +22,7 @@ _TF = "/tf"
 
 
 class FrameOutputCheck:
-    """Compares the clouds, wrenches, states, markers and transforms of one file's frames with the re-run.
+    """Comparison of one file's clouds, wrenches, states, markers and transforms with the re-run.
 
     Args:
         node: resolved name of the node.

@@ -37,7 +37,7 @@ _MARKED_SECOND, _MARKED_POSITION = 0x5AC3_0000, 1.2345e222
 
 
 class MarkerCheck:
-    """Compares the recorded markers of obstacles and pads with the re-run.
+    """Comparison of the recorded markers of obstacles and pads with the re-run.
 
     Args:
         node: resolved name of the node.

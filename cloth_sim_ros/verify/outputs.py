@@ -56,7 +56,7 @@ def same_content(recorded: bytes, expected: bytes, type_name: str) -> bool:
 
 
 class CloudCheck:
-    """Compares recorded clouds, bytes and points, with the re-run.
+    """Comparison of recorded clouds, bytes and points, with the re-run.
 
     Args:
         scene: effective when the file was opened.

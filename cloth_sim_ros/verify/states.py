@@ -23,7 +23,7 @@ _OK, _WARN = 0, 1
 
 
 class StateCheck:
-    """Compares the node's `~/state` with the re-run: active while time passes, otherwise inactive.
+    """Comparison of the node's `~/state` with the re-run: active while time passes, otherwise inactive.
 
     Args:
         findings: collects the differences.
@@ -68,7 +68,7 @@ class StateCheck:
 
 
 class GripperStateCheck:
-    """Compares `~/<gripper>/state` with the re-run: open or closed, and the number of grasped particles.
+    """Comparison of `~/<gripper>/state` with the re-run: open or closed, and the number of grasped particles.
 
     Args:
         node: resolved name of the node.

@@ -72,7 +72,7 @@ class FramePosition:
 
 
 class Findings:
-    """Collects the findings of several checks, in any order, in a verdict.
+    """Collector of the findings of several checks, in any order, in a verdict.
 
     Args:
         verdict: the verdict.

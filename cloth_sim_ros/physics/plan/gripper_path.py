@@ -161,7 +161,7 @@ def rigid_velocities(row: Array, t: float, h: float, x: Array) -> Array:
 
 
 class PathPlanner:
-    """Plans smooth paths of grippers and obstacles to their targets, frame by frame."""
+    """Planner of smooth paths of grippers and obstacles to their targets, frame by frame."""
 
     def __init__(self) -> None:
         # Arrays that the last frame returned, and their addresses: the next call mostly takes them.

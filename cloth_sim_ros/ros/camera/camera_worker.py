@@ -61,7 +61,7 @@ Bodies = Sequence[tuple[Obstacle, Any, int]]
 
 
 class CameraOutput:
-    """Renders one depth camera, and publishes its images, labels and points.
+    """Renderer of one depth camera, and publisher of its images, labels and points.
 
     Args:
         node: the node of this process.

@@ -28,7 +28,7 @@ _WORKER_MODULE = "cloth_sim_ros.ros.camera.camera_worker"
 
 
 class Cameras:
-    """Starts the camera process, and sends it the frames that depth cameras with subscribers need, without blocking.
+    """Link to the camera process: sends it, without blocking, the frames that depth cameras with subscribers need.
 
     Args:
         node: the node.

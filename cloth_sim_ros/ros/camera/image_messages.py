@@ -20,7 +20,7 @@ _COUNT, _IS_DENSE = 4, 1
 
 
 class ImageMessage:
-    """Serializes sensor_msgs/Image messages of one channel: depths or labels."""
+    """Serializer of sensor_msgs/Image messages of one channel: depths or labels."""
 
     def __init__(self, *, frame_id: str, width: int, height: int, encoding: str) -> None:
         step = width * (4 if encoding == "32FC1" else 2)
@@ -35,7 +35,7 @@ class ImageMessage:
 
 
 class PointsMessage:
-    """Serializes sensor_msgs/PointCloud2 messages with a point for each pixel, NaN for a pixel without depth."""
+    """Serializer of sensor_msgs/PointCloud2 messages with a point for each pixel, NaN for a pixel without depth."""
 
     def __init__(self, *, frame_id: str, width: int, height: int) -> None:
         message = PointCloud2(width=width, height=height, point_step=12, row_step=12 * width, is_dense=False)
@@ -53,7 +53,7 @@ class PointsMessage:
 
 
 class CameraInfoMessage:
-    """Serializes sensor_msgs/CameraInfo messages of a camera without distortion.
+    """Serializer of sensor_msgs/CameraInfo messages of a camera without distortion.
 
     Args:
         frame_id: optical frame.

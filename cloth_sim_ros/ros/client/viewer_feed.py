@@ -43,7 +43,7 @@ _SILENCE = 5.0
 
 
 class ViewerFeed:
-    """Subscribes to the topics of a cloth's node, and forwards their bytes and the node's parameters to `send`.
+    """Subscriber of a cloth node's topics, whose bytes and the node's parameters it forwards to `send`.
 
     A topology restarts the feed: the node may have other grippers now. Then the parameters are read, and the
     other topics are subscribed to, so that their latched messages come after them.

@@ -38,7 +38,7 @@ _SUCCEEDED, _ABORTED, _CANCELED = "succeeded", "aborted", "canceled"
 
 
 class GoalError(ValueError):
-    """A goal that is rejected; the message says why."""
+    """Error: a goal of a gripper's action is rejected; the message says why."""
 
 
 @attrs.frozen
@@ -82,7 +82,7 @@ class _Goal:
 
 
 class GripperActions:
-    """Serves the action ~/<gripper>/gripper_cmd of grippers that have one; `serve` creates the servers.
+    """Server of the action ~/<gripper>/gripper_cmd of grippers that have one; `serve` creates it.
 
     Args:
         node: the node.

@@ -27,7 +27,7 @@ CDR = b"\x00\x01\x00\x00"
 
 
 class CloudMessage:
-    """Serializes sensor_msgs/PointCloud2 messages; all but stamp and points is serialized once.
+    """Serializer of sensor_msgs/PointCloud2 messages; all but stamp and points is serialized once.
 
     Args:
         frame_id: coordinate frame.
@@ -77,7 +77,7 @@ def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
 
 
 class SurfaceMarker:
-    """Serializes the cloth's surface as a visualization_msgs/Marker TRIANGLE_LIST, for RViz.
+    """Serializer of the cloth's surface as a visualization_msgs/Marker TRIANGLE_LIST, for RViz.
 
     Args:
         frame_id: coordinate frame.

@@ -26,7 +26,7 @@ _COLOUR, _GROUND = ColorRGBA(r=0.45, g=0.5, b=0.58, a=1.0), ColorRGBA(r=0.24, g=
 
 
 class ObstacleMarkers:
-    """Serializes obstacles as a MarkerArray; its namespaces `<node>/<obstacle>` let one display show several cloths.
+    """Serializer of obstacles as a MarkerArray; namespaces `<node>/<obstacle>` let one display show several cloths.
 
     Args:
         solids: the obstacles.

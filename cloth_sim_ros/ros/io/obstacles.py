@@ -31,7 +31,7 @@ _STOP_REPEAT_TIME = 1.0
 
 
 class ObstacleTopics:
-    """Publishes markers and wrenches of obstacles, subscribes to their targets, and warns of stops and lags.
+    """Topics of obstacles: publisher of markers and wrenches, subscriber of targets; it warns of stops and lags.
 
     Args:
         node: the node.

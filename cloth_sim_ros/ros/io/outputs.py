@@ -40,7 +40,7 @@ _PAUSED_PERIOD = 1.0
 
 
 class ClothTopics:
-    """Publishes ~/points, ~/topology, ~/mesh and ~/<gripper>/wrench of one cloth."""
+    """Publisher of ~/points, ~/topology, ~/mesh and ~/<gripper>/wrench of one cloth."""
 
     def __init__(self, node: Node, scene: Scene, sink: RecordSink) -> None:
         self._shape = scene.shape
@@ -102,7 +102,7 @@ class ClothTopics:
 
 
 class Outputs:
-    """Owns all published topics of the node; publishes and records each frame on them.
+    """Owner of all published topics of the node; publishes and records each frame on them.
 
     Args:
         node: the node.

@@ -221,7 +221,7 @@ def describe(entry: Parameter) -> ParameterDescriptor:
 
 
 class LiveParameters:
-    """Validates changes of ROS parameters at once, and passes accepted ones on, effective with the next frame.
+    """Validator of changes of ROS parameters; it passes valid ones on, effective with the next frame.
 
     Args:
         node: the node that owns the parameters.

@@ -35,7 +35,7 @@ _SILENCE = 1_000_000_000
 
 
 class RobotFollower:
-    """Moves the obstacles of a robot's links to the poses of its joint states or TF frames.
+    """Source of events that move the obstacles of a robot's links to its joint states or TF frames.
 
     Args:
         node: the node.

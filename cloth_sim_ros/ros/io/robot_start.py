@@ -40,7 +40,7 @@ _MESSAGE_PERIOD, _POLL_PERIOD = 5.0, 0.1
 
 
 class RobotStart:
-    """Waits at the node's start for a robot's description and poses, and adds its links to a scene as obstacles.
+    """Wait, at the node's start, for a robot's description and poses; adds its links to a scene as obstacles.
 
     Args:
         node: the node, which is in no executor yet.

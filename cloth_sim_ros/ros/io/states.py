@@ -24,7 +24,7 @@ _LABELS = {
 
 
 class States:
-    """Publishes the latched topics ~/state and ~/<gripper>/state, the latter after every grasp.
+    """Publisher of the latched topics ~/state and ~/<gripper>/state, the latter after every grasp.
 
     Args:
         node: the node.

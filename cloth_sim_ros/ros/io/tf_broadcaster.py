@@ -23,7 +23,7 @@ CLOTH_FRAME = "cloth"
 
 
 class TfBroadcaster:
-    """Publishes the frames of grippers, cloth and cameras on /tf while `tf.publish` is set.
+    """Publisher of the frames of grippers, cloth and cameras on /tf while `tf.publish` is set.
 
     The frames are `<node>/<gripper>`, `<node>/cloth` at the centre of mass, and `<node>/<camera>_optical_frame`.
 

@@ -26,7 +26,7 @@ _MAX_ROTATION = 3.0
 
 
 class TwistError(ValueError):
-    """A velocity that is refused; the message says why."""
+    """Error: a commanded velocity is refused; the message says why."""
 
 
 @attrs.frozen
@@ -41,7 +41,7 @@ class _Twist:
 
 
 class TwistCommands:
-    """Turns the newest commanded velocity of each gripper into a target for each frame.
+    """Newest commanded velocity of each gripper, turned into a target for each frame.
 
     Args:
         simulation: the cloth.

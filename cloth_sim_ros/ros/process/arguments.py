@@ -20,7 +20,7 @@ _UNSET = f"or unset {_SECURE}"
 
 
 class ArgumentsError(ValueError):
-    """ROS arguments that rclpy can't read, or an environment in which no node can start; the message says why."""
+    """Error: rclpy can't read the ROS arguments, or can't start in the environment; the message says why."""
 
 
 def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:

@@ -29,7 +29,7 @@ _FRAME_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class BagTopics:
-    """Publishes ~/frame and ~/snapshot, from which a bag can be run again, while ~/frame has subscribers.
+    """Publisher of ~/frame and ~/snapshot, from which a bag can be run again, while ~/frame has subscribers.
 
     Args:
         node: the node.

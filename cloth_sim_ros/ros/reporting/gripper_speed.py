@@ -9,7 +9,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class GripperSpeedMonitor:
-    """Warns when a gripper begins to lag because its target moves faster than its speed limit.
+    """Monitor that warns when a gripper begins to lag because its target moves faster than its speed limit.
 
     Args:
         simulation: the cloth.

@@ -20,7 +20,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class Stepper:
-    """Computes frames of the simulation with the events that wait in a queue.
+    """Computation of the simulation's frames with the events that wait in a queue.
 
     Args:
         simulation: the cloth.

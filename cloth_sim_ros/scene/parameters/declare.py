@@ -32,7 +32,7 @@ KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": s
 
 
 class ParameterError(ValueError):
-    """A parameter that is unknown, of the wrong type, out of range, or read-only."""
+    """Error: a parameter is unknown, of the wrong type, out of range, or read-only."""
 
     @property
     def sentences(self) -> list[str]:
@@ -41,7 +41,7 @@ class ParameterError(ValueError):
 
 
 class ParameterErrors(ParameterError):
-    """An error with several faults of parameters, one per line of its message."""
+    """Error of several faults of parameters, one per line of its message."""
 
     def __init__(self, sentences: Sequence[str]) -> None:
         super().__init__("\n".join(sentences))
@@ -54,7 +54,7 @@ class ParameterErrors(ParameterError):
 
 
 class Faults:
-    """Collects the messages of several faults of parameters, so that one error names all of them."""
+    """Collection of messages of several faults of parameters, so that one error names all of them."""
 
     def __init__(self) -> None:
         self._sentences: list[str] = []

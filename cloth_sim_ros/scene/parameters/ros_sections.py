@@ -77,7 +77,7 @@ class _Section:
 
 
 class _SectionReader:
-    """Reads the sections of a parameter file from the events of a YAML parser, and refuses what ROS refuses."""
+    """Reader of a parameter file's sections from the events of a YAML parser; it refuses what ROS refuses."""
 
     def __init__(self, text: str, source: str) -> None:
         import yaml

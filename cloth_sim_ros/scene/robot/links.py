@@ -52,7 +52,7 @@ class _LinkObstacle:
 
 
 class RobotLinks:
-    """Converts joint positions of a robot to the poses of the obstacles of its links.
+    """Converter of a robot's joint positions to the poses of the obstacles of its links.
 
     Args:
         description: the robot.

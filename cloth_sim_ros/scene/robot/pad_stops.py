@@ -23,7 +23,7 @@ _MAX_HAND_JOINTS = 8
 
 
 class PadStops:
-    """Stops the joints of fingers before their pads come closer than `robot.pad_gap` contact thicknesses.
+    """Limit of a robot's finger joints: their pads stay at least `robot.pad_gap` contact thicknesses apart.
 
     Two pads are a pair if they belong to one hand and different joints move them. Pads that more than eight joints move
     relative to each other belong to two arms. Each side of a cloth's layer then has half the gap, and its contact
