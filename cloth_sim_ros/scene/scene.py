@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.integrators.base import TOLERANCE, Integrator
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
-from cloth_sim_ros.physics.model.sheets.material import Threads
+from cloth_sim_ros.physics.model.sheets.material import ThreadStiffness
 from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
@@ -413,7 +413,7 @@ class Scene:
         sheet = self.sheet
         return (sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else (1, len(sheet.positions()))
 
-    def threads(self) -> Threads:
+    def threads(self) -> ThreadStiffness:
         """Return the spring stiffnesses of a grid, as force per strain [N], and the resulting Poisson's ratio.
 
         Raises:

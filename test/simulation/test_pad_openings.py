@@ -169,7 +169,7 @@ def test_limited_drive_keeps_mass_of_cloth() -> None:
         gripper="hand", size=(0.1, 0.02, 0.1), friction=(0.5, 0.5), force=2.0, speed=0.05, opening=0.02,
         inertia=drive_inertia(0.01, 2.0, 0.05),
     )  # fmt: skip
-    limited = jaw.limited(1.0, 0.02)
+    limited = jaw.with_limits(1.0, 0.02)
     assert (limited.force, limited.speed) == (1.0, 0.02)
     assert limited.inertia == pytest.approx(drive_inertia(0.01, 1.0, 0.02), rel=1e-12)
-    assert jaw.limited(0.0, 0.0) is jaw
+    assert jaw.with_limits(0.0, 0.0) is jaw

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.pair_springs import lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import damping_coefficient
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.gripper_path import to_body_frame
 from cloth_sim_ros.physics.state.state import State
@@ -306,7 +306,7 @@ class Grippers:
         if self._prescribes.any():
             prescribed = np.repeat(self._prescribes, np.diff(starts))
             stiffnesses[prescribed] = 0.0
-        dampings = lecture_damping(damping, stiffnesses, model.masses[particles])
+        dampings = damping_coefficient(damping, stiffnesses, model.masses[particles])
         return Grasps(starts, particles, memory["grip.offsets"], stiffnesses, dampings, source, prescribed)
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:

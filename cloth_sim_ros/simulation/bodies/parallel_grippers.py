@@ -101,7 +101,7 @@ class ParallelGrippers:
         k = self.names.index(name)
         half_opening, jaw_speed = self._state.memory[JAWS_KEY][k].tolist()
         _, force, speed = self.setpoint(name)
-        jaw, direction = self.pads[k].limited(force, speed), 1.0 if self.drive_flags()[k, 1] else -1.0
+        jaw, direction = self.pads[k].with_limits(force, speed), 1.0 if self.drive_flags()[k, 1] else -1.0
         return 2.0 * half_opening, 2.0 * jaw_speed, jaw.force * (direction + jaw_speed / jaw.speed)
 
     def await_rest(self, name: str) -> None:
@@ -132,14 +132,14 @@ class ParallelGrippers:
             setpoint, force, speed = self.setpoint(pads.gripper)
             if is_rested[k] or not is_placed or not (is_closed or setpoint >= 0.0):
                 continue
-            jaw = pads.limited(force, speed)
+            jaw = pads.with_limits(force, speed)
             is_moving = abs(jaw_speed) > _REST_FRACTION * jaw.speed
             if is_moving or abs(accelerations[k]) * jaw.inertia > _REST_FRACTION * 2.0 * jaw.force:
                 continue
             writable(self._state, JAWS_AT_REST_KEY)[k] = True
             n_grasped = self.grasped_count(plan, t, jaw.gripper)
             thickness = plan.contact.force.thickness
-            is_at_stop = half_opening < jaw.stops(True, setpoint, thickness)[0] + 0.25 * thickness
+            is_at_stop = half_opening < jaw.half_opening_range(True, setpoint, thickness)[0] + 0.25 * thickness
             reached = not is_closed or (is_at_stop and (n_grasped == 0 or setpoint > 0.0))
             reason = ""
             if setpoint > 0.0 and reached:
