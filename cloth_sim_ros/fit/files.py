@@ -55,7 +55,7 @@ def write_json(fit: Fit, path: Path) -> None:
     }
     content = old_keys.add_old_keys(content, old_keys.FIT)
     with atomic_write(path) as output:
-        output.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        output.write_text(json.dumps(finite_or_none(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def estimate_entry(estimate: Estimate, within: float) -> dict[str, Any]:
@@ -145,10 +145,10 @@ def write_plot(fit: Fit, path: Path) -> None:
         figure.savefig(output, dpi=120, format="png")
 
 
-def plain(value: Any) -> Any:
+def finite_or_none(value: Any) -> Any:
     """Return a JSON tree in which None replaces the numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: finite_or_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [finite_or_none(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

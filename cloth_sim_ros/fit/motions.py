@@ -24,7 +24,7 @@ from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.recording import FitRecording, check_recording, visible
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, excess_misfit, pooled_score, rigid_distances, score
-from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
+from cloth_sim_ros.fit.screening import UnusedClouds, screen_clouds
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -99,7 +99,7 @@ class MotionFit:
     excess: float | None
     n_clouds: int
     n_recorded_clouds: int
-    left_out: LeftOut
+    left_out: UnusedClouds
     missing_fraction: float | None
     #: Reason why no parameter counts as identified, and the remedy; empty if the intervals are valid.
     doubt: str
@@ -229,7 +229,7 @@ def held_out_indices(n_recordings: int, held_out: int) -> list[int]:
 
 
 def _fit_problem(
-    problem: JointProblem, left_out: LeftOut, held_out: int, loss: str, within: float, n_before: int
+    problem: JointProblem, left_out: UnusedClouds, held_out: int, loss: str, within: float, n_before: int
 ) -> MotionFit:
     outside = held_out_indices(len(problem.recordings), held_out)
     inside = [k for k in range(len(problem.recordings)) if k not in outside and len(problem.used[k])]
@@ -406,7 +406,7 @@ def _build(
     solution: JointSolution,
     inside: list[int],
     outside: list[int],
-    left_out: LeftOut,
+    left_out: UnusedClouds,
     loss: str,
     within: float,
     n_before: int,

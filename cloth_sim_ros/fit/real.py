@@ -77,7 +77,7 @@ def fit_real(
     parameters = choose_parameters(scene, names, start)
     max_offset = 0.0 if time_offset == FIXED else MAX_OFFSET
     with TrajectoryPool(workers) as pool:
-        choose = _Chooser(
+        choose = _GraspChooser(
             recordings=recordings,
             scene=scene,
             parameters=parameters,
@@ -176,7 +176,7 @@ def _prepare_named(
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class _Chooser:
+class _GraspChooser:
     """Choice of grasped particles by simulations of several combinations."""
 
     recordings: Sequence[Recording]

@@ -26,7 +26,7 @@ def declared(name: str) -> tuple[Parameter, ...]:
     return parameters.declared(CameraParameters, f"{name}.")
 
 
-def named(values: Iterable[str], groups: Collection[str]) -> list[str]:
+def camera_names(values: Iterable[str], groups: Collection[str]) -> list[str]:
     """Return the valid names of cameras that the parameter `cameras` lists, each once.
 
     Args:
@@ -47,7 +47,7 @@ def hint(name: str, groups: Collection[str]) -> str:
     return f" If '{camera}' is to be a camera, name it in cameras" if is_camera else ""
 
 
-def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, CameraParameters]:
+def build_cameras(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, CameraParameters]:
     """Build the parameters of each named camera from checked values by full name."""
     return {name: parameters.build(CameraParameters, dict(values), f"{name}.") for name in names}
 
@@ -125,7 +125,7 @@ def check_change(name: str, before: CameraParameters, now: CameraParameters) -> 
     old, new = parameters.flatten(before), parameters.flatten(now)
     for entry in parameters.declared(CameraParameters):
         if not entry.live and old[entry.name] != new[entry.name]:
-            raise ParameterError(parameters.read_only(f"{name}.{entry.name}"))
+            raise ParameterError(parameters.read_only_message(f"{name}.{entry.name}"))
 
 
 def optical_frame(node: str, camera: str) -> str:

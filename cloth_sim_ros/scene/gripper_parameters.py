@@ -32,7 +32,7 @@ def declared(name: str) -> Parameter:
     return attrs.evolve(common, name=name, description=f"Overrides {_SECTION_PREFIX}{leaf} for this gripper")
 
 
-def individual(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
+def individual_names(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
     """Return those of the full names that are parameters of a single gripper, in their order.
 
     Args:

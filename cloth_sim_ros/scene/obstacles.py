@@ -37,7 +37,7 @@ def declared(name: str) -> tuple[Parameter, ...]:
     return parameters.declared(sections.ObstacleParameters, f"{name}.")
 
 
-def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
+def described_obstacles(values: Iterable[str], groups: Collection[str]) -> list[str]:
     """Return the obstacles whose `<name>.shape` is among full names of parameters, in their order.
 
     Args:
@@ -57,7 +57,7 @@ def hint(name: str, groups: Collection[str]) -> str:
     return f" If '{obstacle}' is to be an obstacle, set {obstacle}.{_SHAPE_LEAF} with it, or before"
 
 
-def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.ObstacleParameters]:
+def build_descriptions(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.ObstacleParameters]:
     """Build the description of each named obstacle from checked values by full name."""
     return {name: parameters.build(sections.ObstacleParameters, dict(values), f"{name}.") for name in names}
 

@@ -238,9 +238,9 @@ class Scene:
         If `names` are values by full name, they include those of the cameras in `cameras`.
         """
         full_names = list(names)
-        described = scene_obstacles.described(full_names, cls.groups())
-        cameras = scene_cameras.named(names, cls.groups())
-        individual = gripper_parameters.individual(full_names, cls.groups(), [*described, *cameras])
+        described = scene_obstacles.described_obstacles(full_names, cls.groups())
+        cameras = scene_cameras.camera_names(names, cls.groups())
+        individual = gripper_parameters.individual_names(full_names, cls.groups(), [*described, *cameras])
         return cls.declared(described, individual, cameras)
 
     @property
@@ -268,7 +268,10 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, an invalid value, or a file that can't be read.
         """
-        names, cameras = scene_obstacles.described(values, cls.groups()), scene_cameras.named(values, cls.groups())
+        names, cameras = (
+            scene_obstacles.described_obstacles(values, cls.groups()),
+            scene_cameras.camera_names(values, cls.groups()),
+        )
         fabric_values, fabric_files = fabrics.fabric_parameters(values, files or {}, folder)
         checked = parameters.check(
             cls.declared_for(values),
@@ -276,10 +279,12 @@ class Scene:
             hint=lambda name: scene_obstacles.hint(name, cls.groups()) or scene_cameras.hint(name, cls.groups()),
         )
         content = scene_files.read(checked, {**(files or {}), **fabric_files}, folder)
-        described = scene_obstacles.read(checked, names)
+        described = scene_obstacles.build_descriptions(checked, names)
         owners = [*names, *cameras]
-        individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), owners)}
-        views = scene_cameras.read(checked, cameras)
+        individual = {
+            name: checked[name] for name in gripper_parameters.individual_names(checked, cls.groups(), owners)
+        }
+        views = scene_cameras.build_cameras(checked, cameras)
         scene: Scene = parameters.build(
             cls, checked, described=described, views=views, individual=individual, files=content
         )
@@ -319,12 +324,12 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, a read-only parameter, or an invalid value.
         """
-        described = scene_obstacles.described([*self.parameters(), *values], self.groups())
-        individual = gripper_parameters.individual(values, self.groups(), [*described, *self.views])
+        described = scene_obstacles.described_obstacles([*self.parameters(), *values], self.groups())
+        individual = gripper_parameters.individual_names(values, self.groups(), [*described, *self.views])
         known = {entry.name: entry for entry in self.declared(individual=individual)}
         for name in values:
             if name in known and not known[name].live:
-                raise ParameterError(parameters.read_only(name))
+                raise ParameterError(parameters.read_only_message(name))
         scene_obstacles.check_meshes(values, self.parameters())
         scene = self.from_parameters({**self.parameters(), **values}, files=self.files)
         for name in self.obstacle_names:

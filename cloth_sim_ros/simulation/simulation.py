@@ -303,7 +303,7 @@ class Simulation(ExclusiveAccess):
         recovery = contact_recovery(self.plan, self.state) if may_reduce else None
         is_moved = is_stepped or not self.paused
         done = self._advance_time() if is_moved else None
-        pinches = self.pinching.report_rested(self.plan, self.time) if is_moved and self.pinching is not None else []
+        pinches = self.pinching.rest_results(self.plan, self.time) if is_moved and self.pinching is not None else []
         stopped = self._stopped if is_moved else ()
         is_lagging = is_moved and (stopped or self.grippers.speed_limited)
         sums = self._accumulator if is_moved else None
@@ -366,7 +366,7 @@ class Simulation(ExclusiveAccess):
         done: Advance | None = None
         self._stopped: tuple[str, ...] = ()
         if is_asleep(state) and self._is_rest_verified and self._is_at_rest and self.frame < sleeps_until(state):
-            done = self._sleep.frame(self._integrator.name)
+            done = self._sleep.sleeping_advance(self._integrator.name)
         else:
             before = None if self.plan.contact is None else state.shallow_copy()
             self._plan_paths(start)
@@ -377,7 +377,7 @@ class Simulation(ExclusiveAccess):
                 self._stopped = tuple(self.grippers.hold_position(blocked))
                 self._plan_paths(start)
             if is_asleep(state) and self._may_stay_asleep(start):
-                done = self._sleep.frame(self._integrator.name)
+                done = self._sleep.sleeping_advance(self._integrator.name)
         if done is None:
             self._is_rest_verified = False
             if self._energy_watch is not None:
@@ -413,7 +413,7 @@ class Simulation(ExclusiveAccess):
 
     def _plan_paths(self, t: float) -> None:
         """Plan the paths of grippers and obstacles over the frame that starts at time t [s]."""
-        self.plan.controls, change = bodies.plan_controls(
+        self.plan.controls, change = bodies.move_bodies(
             self.plan, self._scene, self.obstacles, self.pinching, self.grippers, self.joints, t
         )
         recoveries.begin_recovery(self.plan, self.state, t, self._period)

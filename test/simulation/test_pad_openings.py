@@ -52,7 +52,7 @@ def moved(cloth: Simulation, *grasps: Grasp, frames: int = 80) -> tuple[list[Gra
 
 def gap(cloth: Simulation) -> float:
     assert cloth.pinching is not None
-    return cloth.pinching.drive("gripper")[0]
+    return cloth.pinching.drive_state("gripper")[0]
 
 
 @pytest.mark.parametrize("integrator", ["auto", "implicit"])
@@ -85,10 +85,10 @@ def test_force_and_speed_are_limits() -> None:
     # 15 mm for each pad at 0.05 m/s take 18 frames.
     assert (fast, slow) == (pytest.approx(19, abs=2), pytest.approx(37, abs=2))
     assert cloth.pinching is not None
-    assert cloth.pinching.drive("gripper")[2] == pytest.approx(1.0, rel=1e-3)
+    assert cloth.pinching.drive_state("gripper")[2] == pytest.approx(1.0, rel=1e-3)
     # Above those of the scene they change nothing.
     moved(cloth, Grasp("gripper", True, 0.02, force=50.0, speed=5.0))
-    assert cloth.pinching.drive("gripper")[2] == pytest.approx(2.0, rel=1e-3)
+    assert cloth.pinching.drive_state("gripper")[2] == pytest.approx(2.0, rel=1e-3)
 
 
 def test_plain_grasp_replaces_opening() -> None:

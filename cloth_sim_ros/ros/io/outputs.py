@@ -180,7 +180,7 @@ class Outputs:
         self.cloth.send(state.x, frame.wrenches, stamp, velocities=state.v, fields=fields)
         if self._sensors is not None:
             self._sensors.send(frame.wrenches, stamp)
-        self.states.show(frame, stamp)
+        self.states.send(frame, stamp)
         self.clock.send(frame.time)
         self.obstacles.send(frame, stamp)
         self.transforms.send(stamp)

@@ -25,7 +25,7 @@ class OldStampError(StampError):
     """Error: a stamp is older than the newest one, e.g. of the same gripper's commands."""
 
 
-def checked(sec: int, nanosec: int) -> int:
+def to_ros_time(sec: int, nanosec: int) -> int:
     """Convert a message's stamp to ROS time [ns], and refuse an invalid one.
 
     Raises:

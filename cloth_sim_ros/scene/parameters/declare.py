@@ -279,7 +279,7 @@ def _build(cls: Any, values: dict[str, Any], prefix: str, extra_fields: dict[str
     return cls(**arguments)
 
 
-def read_only(name: str) -> str:
+def read_only_message(name: str) -> str:
     """Return the message that refuses a change of a parameter that is set at start."""
     return f"{name} can't change while the cloth runs; set it at start"
 

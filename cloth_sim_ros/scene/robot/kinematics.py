@@ -83,7 +83,7 @@ class Kinematics:
             np.dot(transforms[parent], locals_[k], out=transforms[k + 1])
         return transforms
 
-    def reach(self, body: int, distance: float) -> tuple[Array, float]:
+    def bounding_ball(self, body: int, distance: float) -> tuple[Array, float]:
         """Return a ball, in the root's frame, that a point of a body never leaves: its centre (3,) and radius [m].
 
         The radius is the sum of the lengths between the joints on the way.

@@ -279,7 +279,7 @@ def _within_reach(
     for candidate in candidates:
         body, placement = kinematics.placements[candidate.link]
         centre_of_shape = (placement @ candidate.origin)[:3, 3]
-        ball = kinematics.reach(body, math.sqrt(float(centre_of_shape @ centre_of_shape)) + candidate.radius)
+        ball = kinematics.bounding_ball(body, math.sqrt(float(centre_of_shape @ centre_of_shape)) + candidate.radius)
         middle, radius = ball if body else (centre_of_shape, candidate.radius)
         balls.append((mount[:3, :3] @ middle + mount[:3, 3], radius))
     zones = [(centre, _SWING_EXTENTS * extent)]

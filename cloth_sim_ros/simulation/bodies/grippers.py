@@ -227,7 +227,7 @@ class Grippers:
         self._replace(g, np.empty(0, dtype=np.int64), np.empty((0, 3)))
         return GraspResult(name, False, 0, reason)
 
-    def plan_frame(
+    def move(
         self,
         present: Grasps,
         model: Model,
@@ -255,7 +255,7 @@ class Grippers:
         is_closed, max_change = self._state.memory["gripper.closed"].tolist(), 0.0
         self.speed_limited = {}
         end_pose = functools.partial(self._end_pose, duration, speeds) if self.pad_reaches or any(speeds) else None
-        paths, changes = self._bodies.paths(t, duration, end_pose)
+        paths, changes = self._bodies.move(t, duration, end_pose)
         controls = GripControls(paths, self._grasps(present, model, stiffness, damping))
         for g, change in enumerate(changes):
             if change > max_change and (is_closed[g] or g in self.pad_reaches):

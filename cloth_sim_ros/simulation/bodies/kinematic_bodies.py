@@ -131,7 +131,7 @@ class KinematicBodies:
                 self.writable(quantity)[moving] = 0.0
         return moving
 
-    def paths(self, t: float, duration: float, end_pose: EndPose | None = None) -> tuple[Array, list[float]]:
+    def move(self, t: float, duration: float, end_pose: EndPose | None = None) -> tuple[Array, list[float]]:
         """Move each body over a frame; return paths, (count, PATH_NUMBERS), and changes of displacement [m].
 
         Args:

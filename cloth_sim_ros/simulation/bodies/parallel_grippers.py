@@ -58,7 +58,7 @@ class ParallelGrippers:
         placed = self._state.memory["gripper.placed"]
         return [2 * k + pad for k, index in enumerate(self._indices) if placed[index] for pad in range(2)]
 
-    def rows(self, paths: Array) -> Array:
+    def pad_paths(self, paths: Array) -> Array:
         """Return for each pad the path of its gripper, shape (pads, PATH_NUMBERS), from the paths of all grippers."""
         return np.repeat(paths[self._indices], 2, axis=0)
 
@@ -93,7 +93,7 @@ class ParallelGrippers:
         half_opening = NO_SETPOINT[0] if event.opening is None else 0.5 * event.opening
         writable(self._state, SETPOINTS_KEY)[self.names.index(event.gripper)] = half_opening, event.force, event.speed
 
-    def drive(self, name: str) -> tuple[float, float, float]:
+    def drive_state(self, name: str) -> tuple[float, float, float]:
         """Return the distance between a gripper's pads [m], its rate [m/s], and the force of the drive at each pad [N].
 
         The force closes the pads if it is above 0.
@@ -104,7 +104,7 @@ class ParallelGrippers:
         jaw, direction = self.pads[k].with_limits(force, speed), 1.0 if self.drive_flags()[k, 1] else -1.0
         return 2.0 * half_opening, 2.0 * jaw_speed, jaw.force * (direction + jaw_speed / jaw.speed)
 
-    def await_rest(self, name: str) -> None:
+    def request_rest_result(self, name: str) -> None:
         """Request a report when the pads of a gripper come to rest."""
         writable(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
 
@@ -116,7 +116,7 @@ class ParallelGrippers:
         counts = contact.obstacle_gaps(t, self._state.x, self._state.memory)[contact.force.n_solids + 2 * k :][:2, 0]
         return int(counts.min())
 
-    def report_rested(self, plan: Plan, t: float) -> list[GraspResult]:
+    def rest_results(self, plan: Plan, t: float) -> list[GraspResult]:
         """Return results of the grippers whose pads came to rest in the frame that ended at time t [s].
 
         Pads that open entirely are not reported.
