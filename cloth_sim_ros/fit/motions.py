@@ -379,7 +379,7 @@ def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: 
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations
-        differences = differences.following(solution.derivatives, sigmas)
+        differences = differences.next_steps(solution.derivatives, sigmas)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
         counts = linear_clouds(problem, solution, inside, median_deviation(residuals), step_bounds(sigmas))
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))

@@ -245,7 +245,7 @@ def live_scan(
                 pose=None,
                 target=nowhere,
                 closed=False,
-                held=none,
+                grasped=none,
                 pinches=(parameters.get(f"{name}.mode") or mode) == "pinch",
             )
             for name in names

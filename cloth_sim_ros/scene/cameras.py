@@ -21,9 +21,9 @@ from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters.declare import NAME, Faults, Parameter, ParameterError
 
 
-def declared(name: str) -> tuple[Parameter, ...]:
+def declarations(name: str) -> tuple[Parameter, ...]:
     """Return the declarations of all parameters of a camera, e.g. `wrist.width` for the name `wrist`."""
-    return parameters.declared(CameraParameters, f"{name}.")
+    return parameters.declarations(CameraParameters, f"{name}.")
 
 
 def camera_names(values: Iterable[str], groups: Collection[str]) -> list[str]:
@@ -42,7 +42,7 @@ def camera_names(values: Iterable[str], groups: Collection[str]) -> list[str]:
 def hint(name: str, groups: Collection[str]) -> str:
     """Return the end of a sentence on an unknown parameter that might belong to a camera; empty for others."""
     camera, _, leaf = name.rpartition(".")
-    leaves = [entry.name.rpartition(".")[2] for entry in declared("c")]
+    leaves = [entry.name.rpartition(".")[2] for entry in declarations("c")]
     is_camera = leaf in leaves and NAME.fullmatch(camera) and camera not in groups
     return f" If '{camera}' is to be a camera, name it in cameras" if is_camera else ""
 
@@ -123,7 +123,7 @@ def check_change(name: str, before: CameraParameters, now: CameraParameters) -> 
         ParameterError: naming the parameter.
     """
     old, new = parameters.flatten(before), parameters.flatten(now)
-    for entry in parameters.declared(CameraParameters):
+    for entry in parameters.declarations(CameraParameters):
         if not entry.live and old[entry.name] != new[entry.name]:
             raise ParameterError(parameters.read_only_message(f"{name}.{entry.name}"))
 

@@ -161,9 +161,9 @@ def _is_number(value: Any) -> bool:
 def _fabric_declarations() -> tuple[declare.Parameter, ...]:
     """Return the declarations of parameters that a fabric may set: material, membrane, bending without rest angles."""
     entries = [
-        *declare.declared(sections.MaterialParameters, "material."),
-        *declare.declared(sections.MembraneParameters, "membrane."),
-        *declare.declared(sections.BendingParameters, "bending."),
+        *declare.declarations(sections.MaterialParameters, "material."),
+        *declare.declarations(sections.MembraneParameters, "membrane."),
+        *declare.declarations(sections.BendingParameters, "bending."),
     ]
     refused = (FABRIC, "bending.rest_angles")
     return tuple(entry for entry in entries if entry.name not in refused)

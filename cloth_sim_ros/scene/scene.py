@@ -227,9 +227,9 @@ class Scene:
             individual: full names of single grippers' parameters.
             cameras: names of cameras.
         """
-        entries = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
-        entries += [entry for name in cameras for entry in scene_cameras.declared(name)]
-        return (*parameters.declared(cls), *entries, *map(gripper_parameters.declared, individual))
+        entries = [entry for name in obstacles for entry in scene_obstacles.declarations(name)]
+        entries += [entry for name in cameras for entry in scene_cameras.declarations(name)]
+        return (*parameters.declarations(cls), *entries, *map(gripper_parameters.declaration, individual))
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
@@ -471,9 +471,9 @@ class Scene:
 
     def initial_positions(self) -> Array:
         """Return the particles' starting positions in the scene's frame [m], shape (particle_count, 3)."""
-        return self._rotated(self.sheet.positions()) + np.asarray(self.cloth.position)
+        return self._rotate(self.sheet.positions()) + np.asarray(self.cloth.position)
 
-    def _rotated(self, vectors: Array) -> Array:
+    def _rotate(self, vectors: Array) -> Array:
         """Rotate vectors (n, 3) from the sheet's axes to the world's, with a fixed order of sums."""
         rotation = rotation_matrix(normalized(self.cloth.orientation))
         x, y, z = np.asarray(vectors, dtype=np.float64).T
@@ -492,7 +492,7 @@ class Scene:
         sheet = self.sheet
         velocities = None
         if isinstance(sheet, RawSprings):
-            velocities = self._rotated(sheet.velocities)
+            velocities = self._rotate(sheet.velocities)
         return State(self.initial_positions(), velocities, cloth=topology_id(sheet))
 
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:

@@ -93,7 +93,7 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
         derivatives = problem.differentiate(point, selected, steps.steps, TOLERANCE, central=True)
         if previous is not None:
             derivatives.other_slopes = previous.slopes
-        steps = steps.following(derivatives, recorded.noise_deviations(derivatives))
+        steps = steps.next_steps(derivatives, recorded.noise_deviations(derivatives))
         if previous is not None and not steps.is_rough:
             break
         previous = derivatives

@@ -75,7 +75,7 @@ class PlanQueries:
         return omega2, damping
 
     def detailed_spectral_bounds(self, x: Array, *, hinges: bool = False) -> list[float]:
-        """Return the spectral bounds of the whole model without contact, and those of hinges alone, five numbers.
+        """Return spectral bounds without contact: of the whole, of hinges alone, and across springs; five numbers.
 
         Args:
             x: positions [m], shape (3, n).

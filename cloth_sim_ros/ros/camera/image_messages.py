@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
-from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
+from cloth_sim_ros.ros.io.messages import CDR, SECOND, pad_to_multiple
 
 #: Bytes of the number of data, and of is_dense behind it.
 _COUNT, _IS_DENSE = 4, 1
@@ -29,7 +29,7 @@ class ImageMessage:
         message.header.frame_id = frame_id
         self._start = _after_stamp(message)[:-_COUNT]
 
-    def serialized(self, pixels: NDArray[Any], stamp: int) -> bytes:
+    def serialize(self, pixels: NDArray[Any], stamp: int) -> bytes:
         """Return the CDR bytes of the Image for pixels (height, width) at a ROS time [ns]."""
         return _joined(stamp, self._start, pixels, bytes(-pixels.nbytes % 4))
 
@@ -47,9 +47,9 @@ class PointsMessage:
         message.header.frame_id = frame_id
         self._start = _after_stamp(message)[: -_COUNT - _IS_DENSE]
 
-    def serialized(self, points: NDArray[np.float32], stamp: int) -> bytes:
+    def serialize(self, points: NDArray[np.float32], stamp: int) -> bytes:
         """Return the CDR bytes of the PointCloud2 for points (height, width, 3) [m] at a ROS time [ns]."""
-        return _joined(stamp, self._start, points, aligned(b"\0", 4))
+        return _joined(stamp, self._start, points, pad_to_multiple(b"\0", 4))
 
 
 class CameraInfoMessage:
@@ -73,7 +73,7 @@ class CameraInfoMessage:
         message.header.frame_id = frame_id
         self._end = _after_stamp(message)
 
-    def serialized(self, stamp: int) -> bytes:
+    def serialize(self, stamp: int) -> bytes:
         """Return the CDR bytes of the CameraInfo with a ROS time [ns] as stamp."""
         return _head(stamp) + self._end
 

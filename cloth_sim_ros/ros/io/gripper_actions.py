@@ -186,7 +186,7 @@ class GripperActions:
                 return CancelResponse.REJECT
             goal.is_canceled, goal.cancel_time = True, time.monotonic()
             if self._simulation.scene.pinches(gripper):
-                goal.event = self._hold(gripper)
+                goal.event = self._hold_event(gripper)
                 self._queue_grasp(goal)
             return CancelResponse.ACCEPT
         return CancelResponse.REJECT
@@ -321,7 +321,7 @@ class GripperActions:
             closes = opening < gap
         return Grasp(gripper, closes, opening, command.force, max(speed, MIN_PAD_SPEED) if speed else 0.0)
 
-    def _hold(self, gripper: str) -> Grasp:
+    def _hold_event(self, gripper: str) -> Grasp:
         """Return the grasp event that stops pads at their present opening."""
         pinching, scene = self._simulation.pinching, self._simulation.scene
         assert pinching is not None

@@ -64,7 +64,7 @@ class ObstacleMarkers:
         #: Indices of the bytes of each stamp and of each pose.
         self._stamps, self._poses = _byte_indices(data, seconds, 8), _byte_indices(data, positions, 56)
 
-    def serialized(self, poses: Array, stamp: int) -> bytes:
+    def serialize(self, poses: Array, stamp: int) -> bytes:
         """Return the CDR bytes of the MarkerArray for poses (obstacle_count, 7) at a ROS time [ns]."""
         self._data[self._stamps] = np.frombuffer(struct.pack("<iI", *divmod(stamp, 10**9)), np.uint8)
         numbers = poses[self._obstacles].astype("<f8")

@@ -171,5 +171,5 @@ class ObstacleTopics:
         assert self._output is not None
         self._poses = self._solids()[1]
         # Without a check for subscribers: the topic is latched (transient local).
-        self._published = self._markers.serialized(self._poses, stamp)
+        self._published = self._markers.serialize(self._poses, stamp)
         self._output.send(self._published, stamp)

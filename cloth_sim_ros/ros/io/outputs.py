@@ -80,12 +80,12 @@ class ClothTopics:
         """
         if self.points.has_consumers:
             normals = vertex_normals(x, self._triangles) if fields.normal else None
-            cloud = self._cloud(fields).serialized(x, stamp, velocities if fields.velocity else None, normals)
+            cloud = self._cloud(fields).serialize(x, stamp, velocities if fields.velocity else None, normals)
             self.points.send(cloud, stamp)
             self.published += 1
         # Not recorded, because it is large and follows from points and topology.
         if self.mesh.has_subscribers:
-            self.mesh.publish(self.marker.serialized(x, stamp))
+            self.mesh.publish(self.marker.serialize(x, stamp))
         for output, wrench in zip(self.wrenches, wrenches, strict=True):
             if output.has_consumers:
                 output.send(wrench_message(wrench, frame_id=self._frame_id, stamp=stamp), stamp)

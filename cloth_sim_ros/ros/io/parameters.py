@@ -113,11 +113,11 @@ class SceneNode(SimTimeNode):
             for name in obstacles.described_obstacles(names, Scene.groups())
             if not self.has_parameter(f"{name}.shape")
         ]
-        new = [entry for name in described for entry in obstacles.declared(name)]
+        new = [entry for name in described for entry in obstacles.declarations(name)]
         grippers = self.get_parameter_or("grippers").value or ()
         for name in gripper_parameters.individual_names(names, Scene.groups(), described):
             if name.rpartition(".")[0] in grippers and not self.has_parameter(name):
-                if not (entry := gripper_parameters.declared(name)).live:
+                if not (entry := gripper_parameters.declaration(name)).live:
                     return SetParametersResult(successful=False, reason=read_only_message(name))
                 new.append(entry)
         known = {entry.name for entry in new}

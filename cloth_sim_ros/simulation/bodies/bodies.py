@@ -190,7 +190,7 @@ def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, dur
         t: time at its start [s].
         duration: its length [s].
     """
-    candidates = grippers.prescribing()
+    candidates = grippers.prescribing_grippers()
     if plan.contact is None or not candidates:
         return []
     thickness = plan.contact.force.thickness

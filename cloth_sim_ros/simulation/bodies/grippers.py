@@ -140,10 +140,10 @@ class Grippers:
             among: their indices; by default those that can crush the cloth: pinching grippers, and those that prescribe
                 the motion of particles.
         """
-        indices = {*self.pad_reaches, *self.prescribing()} if among is None else among
+        indices = {*self.pad_reaches, *self.prescribing_grippers()} if among is None else among
         return [self.names[g] for g in self._bodies.hold_position(sorted(indices))]
 
-    def prescribing(self) -> list[int]:
+    def prescribing_grippers(self) -> list[int]:
         """Return the indices of the grippers that prescribe the motion of at least one particle."""
         if not self._prescribes.any():
             return []
@@ -219,7 +219,7 @@ class Grippers:
         return GraspResult(name, True, 0, pending=True)
 
     def open(self, name: str) -> GraspResult:
-        """Release every particle of a gripper."""
+        """Open a gripper: release its particles, and let its pads, if it has some, open."""
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"

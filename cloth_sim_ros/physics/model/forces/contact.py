@@ -162,7 +162,7 @@ class Contact(EngineForce):
         self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
-        """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
+        """Set for each gripper that pinches whether it has a pose and whether it closes, shape (pinches, 2)."""
         self.controls = self.controls._replace(jaw_commands=commands.copy())
 
     def start_recovery(
