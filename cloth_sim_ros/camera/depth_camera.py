@@ -51,7 +51,7 @@ class DepthCamera:
             ((np.arange(parameters.height) - cy) / fy).astype(np.float32)[:, None],
         )
 
-    def view(
+    def render(
         self, pose: ArrayLike, x: Array, bodies: Iterable[tuple[Obstacle, Array, int]], *, frame: int = 0
     ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
         """Return depth [m] and label of what each pixel sees from a pose, shape (height, width) each.

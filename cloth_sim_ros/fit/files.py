@@ -16,7 +16,7 @@ from cloth_sim_ros.fit.fit import Estimate, Fit, fitted_positions
 from cloth_sim_ros.fit.information import ConfoundedDirection
 from cloth_sim_ros.fit.motions import MotionFit
 from cloth_sim_ros.fit.parameters import scene_with
-from cloth_sim_ros.fit.recording import visible
+from cloth_sim_ros.fit.recording import is_visible
 from cloth_sim_ros.fit.text import verdict
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.session import old_keys
@@ -127,7 +127,8 @@ def write_plot(fit: Fit, path: Path) -> None:
     if fit.recording.matched:
         positions = fitted_positions(fit) + (0.0 if fit.shift is None else np.array(fit.shift))
         residuals = [
-            cloud[visible(cloud)] - x[visible(cloud)] for cloud, x in zip(fit.recording.clouds, positions, strict=False)
+            cloud[is_visible(cloud)] - x[is_visible(cloud)]
+            for cloud, x in zip(fit.recording.clouds, positions, strict=False)
         ]
         residuals_mm = 1e3 * np.concatenate(residuals)
         limit = max(4.0 * 1e3 * fit.rms, 1e-6)

@@ -21,7 +21,7 @@ from cloth_sim_ros.fit.joint import JointProblem, JointSolution, Point, linear_c
 from cloth_sim_ros.fit.noise import HUBER, median_deviation
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.recording import FitRecording, check_recording, visible
+from cloth_sim_ros.fit.recording import FitRecording, check_recording, is_visible
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, excess_misfit, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import UnusedClouds, screen_clouds
@@ -174,7 +174,7 @@ def fit_motions(
     try:
         centre = np.mean([recording.scene.initial_positions().mean(axis=0) for recording in recordings], axis=0)
         if recordings[0].matched:
-            first = [cloud[visible(cloud)] for cloud in recordings[0].clouds if visible(cloud).any()]
+            first = [cloud[is_visible(cloud)] for cloud in recordings[0].clouds if is_visible(cloud).any()]
             centre = np.median(np.concatenate(first), axis=0)
         problem = JointProblem(
             recordings=recordings,
@@ -263,7 +263,7 @@ def strongest_motions(
     """
     strengths = {}
     for k in candidates:
-        clouds = [cloud[visible(cloud)].mean(axis=0) for cloud in recordings[k].clouds if visible(cloud).any()]
+        clouds = [cloud[is_visible(cloud)].mean(axis=0) for cloud in recordings[k].clouds if is_visible(cloud).any()]
         strengths[k] = float(np.std(np.array(clouds), axis=0).sum()) if clouds else 0.0
     order = sorted(candidates, key=lambda k: -strengths[k])
     strong = order[: (count + 1) // 2]
@@ -424,7 +424,7 @@ def _build(
     motions = _score_motions(problem, solution, covariance, inside, outside, by_motion)
     entries_without = [entry for entry in motions if entry.is_held_out]
     typical = float(np.median([entry.model.rms for entry in motions]))
-    model, n_seen = problem.alignment, [int(visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
+    model, n_seen = problem.alignment, [int(is_visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
     n_points = sum(len(c) for k in inside for c in _used_clouds(problem, k))
     noise = solution.noise
     smooth = float(noise.variances.sum())

@@ -80,7 +80,7 @@ class EnergyWatch:
         )
         return self._sums
 
-    def stop(self, end_state: State) -> EnergyReport:
+    def add_sleep_loss(self, end_state: State) -> EnergyReport:
         """Add the kinetic energy that the cloth loses when it falls asleep, as dissipated, and return the sums.
 
         Args:

@@ -399,7 +399,7 @@ class Simulation(ExclusiveAccess):
             state_before_sleep = None if self._energy_watch is None else state.shallow_copy()
             falls_asleep = self._sleep.update(state, start + period)
             if falls_asleep and self._energy_watch is not None and state_before_sleep is not None:
-                self.energy_report = self._energy_watch.stop(state_before_sleep)
+                self.energy_report = self._energy_watch.add_sleep_loss(state_before_sleep)
         state.frame += 1
         #: Controls of the last frame.
         self.frame_controls = self.plan.controls

@@ -87,7 +87,9 @@ def test_random_trees_are_where_scipy_puts_them() -> None:
                 motion[:3, :3] = Rotation.from_rotvec(unit * q[k]).as_matrix()
             expected.append(expected[parent] @ origin @ motion)
         kinematics = Kinematics(parse(f'<robot name="r">{"".join(links)}</robot>'))
-        bodies = kinematics.bodies(kinematics.positions({f"j{k}": value for k, value in q.items()}), np.eye(4))
+        bodies = kinematics.body_transforms(
+            kinematics.joint_positions({f"j{k}": value for k, value in q.items()}), np.eye(4)
+        )
         for k, transform in enumerate(expected):
             body, placement = kinematics.placements[f"l{k}"]
             assert np.abs(bodies[body] @ placement - transform).max() < 1e-13
@@ -103,7 +105,7 @@ def test_poses_keep_rotations_of_half_a_turn() -> None:
 def test_missing_joint_stays_within_its_limits() -> None:
     text = ARM.replace('lower="-2.0"', 'lower="0.5"')
     kinematics = Kinematics(parse(text))
-    assert kinematics.positions({"elbow": 1.0}).tolist() == [0.5, 1.0, 0.0, 0.0]
+    assert kinematics.joint_positions({"elbow": 1.0}).tolist() == [0.5, 1.0, 0.0, 0.0]
 
 
 def test_mimic_of_a_mimic_follows_with_both_offsets() -> None:
@@ -115,7 +117,7 @@ def test_mimic_of_a_mimic_follows_with_both_offsets() -> None:
         for k, mimic in enumerate(mimics)
     )
     kinematics = Kinematics(parse(f'<robot name="r">{links}{joints}</robot>'))
-    bodies = kinematics.bodies(np.array([0.3]), np.eye(4))
+    bodies = kinematics.body_transforms(np.array([0.3]), np.eye(4))
     assert np.diff(bodies[:, 0, 3]).tolist() == pytest.approx([0.3, 0.7, 0.3])
 
 
@@ -124,7 +126,7 @@ def test_reach_bounds_every_pose_of_every_link() -> None:
     kinematics = Kinematics(parse(ARM))
     for _ in range(200):
         positions = rng.uniform([-2.0, -2.8, -3.0, 0.0], [2.0, 2.8, 3.0, 0.04])
-        bodies = kinematics.bodies(positions, np.eye(4))
+        bodies = kinematics.body_transforms(positions, np.eye(4))
         for body in range(1, len(bodies)):
             centre, radius = kinematics.bounding_ball(body, 0.0)
             assert np.linalg.norm(bodies[body][:3, 3] - centre) <= radius + 1e-12

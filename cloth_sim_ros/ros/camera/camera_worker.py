@@ -116,7 +116,7 @@ class CameraOutput:
         self._publish(CAMERA_INFO, lambda: self._info.serialize(frame.stamp))
         if not any(self._has_subscribers(leaf) for leaf in (DEPTH, LABELS, POINTS)):
             return
-        depths, labels = self._camera.view(pose, frame.x, bodies, frame=frame.index)
+        depths, labels = self._camera.render(pose, frame.x, bodies, frame=frame.index)
         in_millimetres = self._parameters.encoding == MILLIMETRES
         self._publish(
             DEPTH, lambda: self._depth.serialize(millimetres(depths) if in_millimetres else depths, frame.stamp)

@@ -219,7 +219,7 @@ class CommandSubscriptions:
         self._queue.put(event, stamp=self._gates[name].accept(stamp, now))
         self._last_target_times[name] = now
         if self.twists is not None:
-            self.twists.stop(name)
+            self.twists.forget_velocity(name)
         if self._queue.n_evicted > n_evicted:
             self._log.warn(
                 "displaced",

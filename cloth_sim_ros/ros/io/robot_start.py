@@ -150,7 +150,7 @@ class RobotStart:
             ),
         )
         if missing := self.states.missing:
-            fallback = links.kinematics.positions({})
+            fallback = links.kinematics.joint_positions({})
             is_missing = ~self.states.is_known
             self.states.positions[is_missing] = fallback[is_missing]
             self._node.get_logger().warning(

@@ -77,7 +77,7 @@ class TwistCommands:
         angular = self._limit(gripper, "twist_max_rate", angular, section.twist_max_rate, "rad/s")
         self._twists[gripper] = _Twist((rotation @ linear).tolist(), (rotation @ angular).tolist(), stamp)
 
-    def stop(self, gripper: str) -> None:
+    def forget_velocity(self, gripper: str) -> None:
         """Forget the velocity of a gripper, because a target was sent to it."""
         self._twists.pop(gripper, None)
 

@@ -84,7 +84,7 @@ class Stepper:
                     entries.append(QueuedEvent(event=Pause(True)))
                 else:
                     # An accepted event may address an obstacle that was removed meanwhile.
-                    impossible = self._impossible(entries)
+                    impossible = self._impossible_events(entries)
                     if not impossible:
                         raise
                     refused += impossible
@@ -109,7 +109,7 @@ class Stepper:
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
 
-    def _impossible(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
+    def _impossible_events(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
         """Return the events that can't take effect any more, with the reasons."""
         impossible = []
         for entry in entries:

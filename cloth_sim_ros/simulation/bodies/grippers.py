@@ -25,7 +25,7 @@ from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
     KinematicBodies,
     clamp_motion,
     travel,
-    writable,
+    writable_copy,
 )
 from cloth_sim_ros.simulation.events import Target
 
@@ -120,8 +120,8 @@ class Grippers:
         target = self._bodies.set_target(g, event.position, event.orientation)
         is_first = not self._state.memory["gripper.placed"][g]
         if is_first:
-            writable(self._state, "gripper.placed")[g] = True
-            self._bodies.writable("pose")[g] = target
+            writable_copy(self._state, "gripper.placed")[g] = True
+            self._bodies.writable_copy("pose")[g] = target
         return is_first
 
     def max_speed(self, index: int, speed_limit: float) -> float:
@@ -157,7 +157,7 @@ class Grippers:
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
             return GraspResult(name, True, len(self.grasped_particles(g)), "it is closed already: open it first")
-        writable(self._state, "gripper.closed")[g] = True
+        writable_copy(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         pose = memory["gripper.pose"][g]
@@ -204,7 +204,7 @@ class Grippers:
     def attach(self, name: str, particles: NDArray[np.int64]) -> None:
         """Close a gripper that has a pose, and attach particles to it at their present positions."""
         g = self.names.index(name)
-        writable(self._state, "gripper.closed")[g] = True
+        writable_copy(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
         self._replace(g, particles, to_body_frame(pose, self._state.x[:, particles]))
 
@@ -213,7 +213,7 @@ class Grippers:
         memory, g = self._state.memory, self.names.index(name)
         if memory["gripper.closed"][g] and not again:
             return GraspResult(name, True, 0, "it is closed already: open it first")
-        writable(self._state, "gripper.closed")[g] = True
+        writable_copy(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         return GraspResult(name, True, 0, pending=True)
@@ -223,7 +223,7 @@ class Grippers:
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"
-        writable(self._state, "gripper.closed")[g] = False
+        writable_copy(self._state, "gripper.closed")[g] = False
         self._replace(g, np.empty(0, dtype=np.int64), np.empty((0, 3)))
         return GraspResult(name, False, 0, reason)
 

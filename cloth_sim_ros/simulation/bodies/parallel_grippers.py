@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import JAWS_AT_REST_KEY, JAWS_KEY, SETPOINTS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult, Grippers
-from cloth_sim_ros.simulation.bodies.kinematic_bodies import writable
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import writable_copy
 from cloth_sim_ros.simulation.bodies.obstacles import gaps
 from cloth_sim_ros.simulation.events import Grasp
 
@@ -91,7 +91,11 @@ class ParallelGrippers:
             return
         self._state.memory.setdefault(SETPOINTS_KEY, np.array([NO_SETPOINT] * len(self.pads)))
         half_opening = NO_SETPOINT[0] if event.opening is None else 0.5 * event.opening
-        writable(self._state, SETPOINTS_KEY)[self.names.index(event.gripper)] = half_opening, event.force, event.speed
+        writable_copy(self._state, SETPOINTS_KEY)[self.names.index(event.gripper)] = (
+            half_opening,
+            event.force,
+            event.speed,
+        )
 
     def drive_state(self, name: str) -> tuple[float, float, float]:
         """Return the distance between a gripper's pads [m], its rate [m/s], and the force of the drive at each pad [N].
@@ -106,7 +110,7 @@ class ParallelGrippers:
 
     def request_rest_result(self, name: str) -> None:
         """Request a report when the pads of a gripper come to rest."""
-        writable(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
+        writable_copy(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
 
     def grasped_count(self, plan: Plan, t: float, name: str) -> int:
         """Return the number of particles between a gripper's pads: the smaller contact count of both pads."""
@@ -136,7 +140,7 @@ class ParallelGrippers:
             is_moving = abs(jaw_speed) > _REST_FRACTION * jaw.speed
             if is_moving or abs(accelerations[k]) * jaw.inertia > _REST_FRACTION * 2.0 * jaw.force:
                 continue
-            writable(self._state, JAWS_AT_REST_KEY)[k] = True
+            writable_copy(self._state, JAWS_AT_REST_KEY)[k] = True
             n_grasped = self.grasped_count(plan, t, jaw.gripper)
             thickness = plan.contact.force.thickness
             is_at_stop = half_opening < jaw.half_opening_range(True, setpoint, thickness)[0] + 0.25 * thickness

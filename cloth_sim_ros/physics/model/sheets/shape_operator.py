@@ -197,7 +197,7 @@ class _Patches:
         shares[:, 0] += 1.0
         return shares
 
-    def slopes(self) -> Array:
+    def slope_weights(self) -> Array:
         """Return the weights [1/m] of a patch's corners in the outward slopes at the edges' midpoints, (m, 3, 6)."""
         slopes = np.zeros((len(self.areas), 3, 6))
         squares = _monomials(self.corners)
@@ -263,7 +263,7 @@ def _curvature_weights(
     faces: NDArray[np.int64], patch: _Patches, opposite: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Array]:
     """Return the particles (m, 12) on which triangles' curvatures depend, and their weights [1/m²], (m, 3, 12)."""
-    slopes = patch.slopes()
+    slopes = patch.slope_weights()
     count = len(faces)
     particles, weights = [faces], [np.zeros((count, 3, 3))]
     for k in range(3):
