@@ -116,7 +116,7 @@ def fit_real(
 
 
 def _with_choice(fit: MotionFit, choice: GraspChoice, n_runs: int) -> MotionFit:
-    """Return a fit with the choice of grasped particles; a tie is a reason to doubt it."""
+    """Return a fit with the choice of grasped particles; with a tie no parameter counts as identified."""
     if not choice.is_tie or fit.doubt:
         return attrs.evolve(fit, grasp=choice, n_runs=n_runs)
     first, second = choice.hypotheses[:2]

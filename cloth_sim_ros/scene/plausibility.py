@@ -89,7 +89,8 @@ def _obstacle_sizes(scene: Scene) -> list[str]:
         if not OBSTACLE_EXTENTS[0] <= extent <= OBSTACLE_EXTENTS[1]:
             sentences.append(
                 f"obstacle '{solid.name}' has an extent of {extent:.3g} m, beyond the usual {OBSTACLE_EXTENTS[0]:g} to "
-                f"{OBSTACLE_EXTENTS[1]:g} m: if its file is not in metres, set {solid.name}.scale ({_scale_hint(extent)})"
+                f"{OBSTACLE_EXTENTS[1]:g} m: if its file is not in metres, set {solid.name}.scale "
+                f"({_scale_hint(extent)})"
             )
     return sentences
 

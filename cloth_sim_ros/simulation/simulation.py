@@ -487,7 +487,7 @@ class Simulation(ExclusiveAccess):
         return not step or step <= self._integrator.step_limit(*self.plan.spectral_bounds(self.state.x))
 
     def _apply_tolerance(self) -> None:
-        """Set the tolerance in force for integrator and sleep: the scene's times the state's relaxation factor."""
+        """Build integrator and sleep rule for the tolerance in force: the scene's times the relaxation factor."""
         scene, self._relaxation_factor = self._scene, relaxation.factor_of(self.state)
         self._integrator = scene.build_integrator(factor=self._relaxation_factor)
         #: Tolerance in force [m]; None if the step is fixed or no tolerance is set.

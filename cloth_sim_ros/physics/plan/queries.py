@@ -67,7 +67,7 @@ class PlanQueries:
             self._grip_binding.upload()
 
     def spectral_bounds(self, x: Array) -> tuple[float, float]:
-        """Return upper bounds of squared angular frequencies [1/s^2] and of damping rates c/m [1/s] at positions x.
+        """Return upper bounds, without contact, of squared angular frequency [1/s^2] and damping rate c/m [1/s] at x.
 
         Contact is not included: its bounds depend on the motion, see `predict_contact`.
         """
