@@ -68,7 +68,7 @@ _ATTRIBUTES = (
 
 
 class Controller:
-    """Chooses pieces, number of runs and steps of one explicit advance, by the rules and the work budget.
+    """Choice of pieces, number of runs and steps of one explicit advance, by the rules and the work budget.
 
     Args:
         options: settings of the integrator.
