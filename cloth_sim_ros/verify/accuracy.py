@@ -101,7 +101,7 @@ class _Certifier:
     def on_frame(
         self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
     ) -> None:
-        """Store a frame of the re-run, to be assessed by `close`."""
+        """Store a frame of the re-run, to be assessed by `on_frame_end`."""
         self._frame = self._capture.capture(simulation, scene_before, before, frame)
         self._is_reproduced = record.digest == simulation.state.digest()
         self._recorded, self._is_altered = None, False
