@@ -93,12 +93,12 @@ def draw_folds(pyplot: Any, folder: Path) -> Path:
     pair = np.array([[0, 1, 2, 3]])
     for axis, (name, degrees) in zip(axes, (("grid diagonal", 0), ("grid diagonal", 60), ("scalene", 60)), strict=True):
         rest_hinge = HingeShape.of(pair, rest_shape(name, math.radians(degrees)))
-        across = np.array([rest_hinge.at(fold).wing_distance()[0] for fold in folds])
+        across = np.array([rest_hinge.folded(fold).wing_distance()[0] for fold in folds])
         half = 0.5 * np.ptp(across)
         seven = ((across - rest_hinge.wing_distance()[0]) / half) ** 2
         axis.plot(np.degrees(folds), seven, label="S7")
         for kind, label in MODELS.items():
-            length = np.array([rest_hinge.at(fold).length(kind)[0] for fold in folds[1:-1]])
+            length = np.array([rest_hinge.folded(fold).length(kind)[0] for fold in folds[1:-1]])
             scaled = (length - rest_hinge.length(kind)[0]) / (rest_hinge.half_range_ratio(kind)[0] * half)
             axis.plot(np.degrees(folds[1:-1]), seven[1:-1] + RATIOS[kind][0] * scaled**2, label=label)
         axis.axvline(degrees, color="grey", linewidth=0.8, linestyle=":")

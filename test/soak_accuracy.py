@@ -49,7 +49,7 @@ class _IndependentCheck:
         #: Difference and its bound for each compared frame [m].
         self.differences: list[tuple[float, float]] = []
 
-    def frame(
+    def on_frame(
         self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, _record: FrameRecord
     ) -> None:
         ran = self._watch.capture(simulation, scene_before, before, frame)
@@ -67,10 +67,10 @@ class _IndependentCheck:
         allowed = max(0.2 * error, 0.1 * (stated.tolerance or DEFAULT_TOLERANCE))
         self.differences.append((abs(error - stated.error), allowed))
 
-    def cloud(self, _recorded: np.ndarray, _same: bool) -> None:
+    def on_cloud(self, _recorded: np.ndarray, _same: bool) -> None:
         """Do nothing: the positions of the re-run are compared."""
 
-    def close(self) -> None:
+    def on_frame_end(self) -> None:
         """Do nothing."""
 
 

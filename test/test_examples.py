@@ -166,7 +166,7 @@ def test_arm_takes_the_edge_and_pulls_it(tmp_path: Path, monkeypatch: pytest.Mon
     simulation, stops = Simulation(scene), PadStops(scene, links)
     # From where the open fingers are about the edge; the arm stands still before.
     for t in np.arange(3.0, 4.5, scene.period):
-        positions = stops.stopped(np.array(arm.joints(t)))
+        positions = stops.limit_positions(np.array(arm.joints(t)))
         frame = simulation.advance([MoveObstacles(links.names, links.poses(positions))])
         assert not frame.stopped
     closed, pulled = (links.link_pose("left_finger", np.array(arm.joints(t)))[0] for t in (4.0, 4.5))

@@ -31,7 +31,7 @@ class Herd:
 
 
 class Herd:
-    """A second one."""
+    """Keeps a second one."""
 '''
 BAD_TEST = "def test_a_name_that_tells_a_whole_story_of_what_a_test_does_and_why_it_is_there(): ...\n"
 BAD_PAGE = "The node is told the target.\n\n" + "word " * 26 + "end.\n"
@@ -80,6 +80,7 @@ def test_each_rule_finds_its_violation(bad_tree: Path) -> None:
         "dialect in docstrings": 2,
         "dialect in log and error texts": 1,
         "dialect in pages": 1,
+        "docstrings of classes that open with a verb": 1,
         "docstrings that open with a question word": 1,
         "names in C++": 1,
         "names of arguments": 1,

@@ -68,18 +68,18 @@ def figures(options: argparse.Namespace) -> dict[str, Any]:
     noise = attrs.evolve(parameters, disparity_noise=0.1, disparity_step=0.0625)
     plain, noisy = DepthCamera("plain", parameters, triangles), DepthCamera("noisy", noise, triangles)
     scene = bodies()
-    depths, labels = plain.view(_POSE, x, scene)
+    depths, labels = plain.render(_POSE, x, scene)
     size = {"frame_id": "camera", "width": options.width, "height": options.height}
     metres, short = ImageMessage(**size, encoding="32FC1"), ImageMessage(**size, encoding="16UC1")
     cloud = PointsMessage(**size)
     times = time_interleaved(
         {
-            "image": lambda: plain.view(_POSE, x, scene),
-            "image_with_noise": lambda: noisy.view(_POSE, x, scene),
-            "message_32FC1": lambda: metres.serialized(depths, 0),
-            "message_16UC1": lambda: short.serialized(millimetres(depths), 0),
-            "message_labels": lambda: short.serialized(labels, 0),
-            "message_points": lambda: cloud.serialized(plain.points(depths), 0),
+            "image": lambda: plain.render(_POSE, x, scene),
+            "image_with_noise": lambda: noisy.render(_POSE, x, scene),
+            "message_32FC1": lambda: metres.serialize(depths, 0),
+            "message_16UC1": lambda: short.serialize(millimetres(depths), 0),
+            "message_labels": lambda: short.serialize(labels, 0),
+            "message_points": lambda: cloud.serialize(plain.points(depths), 0),
         },
         seconds=options.seconds,
         clock=time.thread_time,

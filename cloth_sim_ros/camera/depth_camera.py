@@ -51,7 +51,7 @@ class DepthCamera:
             ((np.arange(parameters.height) - cy) / fy).astype(np.float32)[:, None],
         )
 
-    def view(
+    def render(
         self, pose: ArrayLike, x: Array, bodies: Iterable[tuple[Obstacle, Array, int]], *, frame: int = 0
     ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
         """Return depth [m] and label of what each pixel sees from a pose, shape (height, width) each.
@@ -129,7 +129,7 @@ def _motion(pose: ArrayLike) -> _Motion:
     return rotation_matrix(normalized(numbers[3:])), numbers[:3]
 
 
-def _rotated(rotation: Array, columns: Array) -> Array:
+def _rotate(rotation: Array, columns: Array) -> Array:
     """Return the product of a rotation matrix with columns (3, ...), with a fixed order of sums."""
     first, second, third = (np.multiply.outer(rotation[:, k], columns[k]) for k in range(3))
     return np.asarray(first + second + third)
@@ -137,11 +137,11 @@ def _rotated(rotation: Array, columns: Array) -> Array:
 
 def _inverse(motion: _Motion) -> _Motion:
     rotation, translation = motion
-    return rotation.T, -_rotated(rotation.T, translation)
+    return rotation.T, -_rotate(rotation.T, translation)
 
 
 def _composed(outer: _Motion, inner: _Motion) -> _Motion:
-    return _rotated(outer[0], inner[0]), _rotated(outer[0], inner[1]) + outer[1]
+    return _rotate(outer[0], inner[0]), _rotate(outer[0], inner[1]) + outer[1]
 
 
 def _placement(motion: _Motion) -> Array:

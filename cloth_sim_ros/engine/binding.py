@@ -273,7 +273,7 @@ def address(array: Any) -> int:
     return _addressof(_from_buffer(array))
 
 
-def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
+def float64_address(name: str, array: Array, shape: tuple[int, ...]) -> int:
     """Check that an array is contiguous float64 of a shape; return its address for the engine.
 
     Raises:
@@ -294,19 +294,21 @@ def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
     return int(array.ctypes.data)
 
 
-def writable(name: str, array: Array, shape: tuple[int, ...]) -> int:
+def writable_address(name: str, array: Array, shape: tuple[int, ...]) -> int:
     """Check that an array is writable, contiguous float64 of a shape; return its address for the engine.
 
     Raises:
-        ValueError: as `doubles` does, and for an array that is read-only.
+        ValueError: as `float64_address` does, and for an array that is read-only.
     """
-    pointer = doubles(name, array, shape)
+    pointer = float64_address(name, array, shape)
     if not array.flags.writeable:
         raise ValueError(f"{name} is read-only; results are written to it, so give another one")
     return pointer
 
 
-def finite(name: str, value: Any, shape: tuple[int, ...], *, lower: float = -np.inf, one_for_all: bool = True) -> Array:
+def checked_floats(
+    name: str, value: Any, shape: tuple[int, ...], *, lower: float = -np.inf, one_for_all: bool = True
+) -> Array:
     """Convert a value to a float64 array of a shape; refuse numbers that are not finite, broadcast a scalar.
 
     Raises:
@@ -329,7 +331,7 @@ def finite(name: str, value: Any, shape: tuple[int, ...], *, lower: float = -np.
     return array
 
 
-def indices(name: str, value: Any, columns: int, stop: int) -> Indices:
+def checked_indices(name: str, value: Any, columns: int, stop: int) -> Indices:
     """Convert a value to an int64 array of particle indices, shape (m, columns); refuse indices outside 0 ... stop - 1.
 
     Raises:

@@ -202,7 +202,7 @@ def is_current(library: Path, build_id: str) -> bool:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Lock a folder during a `with` block: a second build at the same time waits, then finds the work done."""
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -240,7 +240,7 @@ def build(
     if all(is_current(libraries[name], prints[name]) for name in names):
         return list(libraries.values())
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder):
+    with lock_folder(folder):
         outdated = [name for name in names if not is_current(libraries[name], prints[name])]
         # A library beside the sources that is up to date is copied.
         ready = {name for name in outdated if is_current(sources / file_name(name), prints[name])}
@@ -270,7 +270,7 @@ def compile_units(
         folder.mkdir(exist_ok=True)
     else:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    stack.enter_context(locked(folder))
+    stack.enter_context(lock_folder(folder))
     for interrupted in folder.glob("*.new"):
         interrupted.unlink()
     objects: dict[str, list[Path]] = {}

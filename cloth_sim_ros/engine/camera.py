@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import SHAPES, Array, Indices, check, doubles, library
+from cloth_sim_ros.engine.binding import SHAPES, Array, Indices, check, float64_address, library
 
 #: Pixels behind an image, at least a vector of the engine.
 _PADDING = 16
@@ -33,7 +33,7 @@ class DepthImage:
         if width < 1 or height < 1:
             raise ValueError(f"the image has {width} x {height} pixels; it must have at least 1 x 1")
         self._size, self._intrinsics = (width, height), np.array(intrinsics, dtype=np.float64)
-        self._camera = doubles("intrinsics", self._intrinsics, (4,))
+        self._camera = float64_address("intrinsics", self._intrinsics, (4,))
         self._inverse = np.zeros(width * height + _PADDING, np.float32)
         self._labels = np.zeros(width * height + _PADDING, np.uint16)
         self._images = (self._inverse.ctypes.data, self._labels.ctypes.data)
@@ -74,7 +74,7 @@ class DepthImage:
         if triangles.dtype != np.int64 or triangles.ndim != 2 or triangles.shape[1] != 3:
             raise ValueError(f"triangles is {triangles.dtype} of shape {triangles.shape}; it must be int64, (m, 3)")
         corners = np.ascontiguousarray(triangles)
-        vertices, moved = doubles("x", x, (3, x.shape[-1])), doubles("placement", placement, (12,))
+        vertices, moved = float64_address("x", x, (3, x.shape[-1])), float64_address("placement", placement, (12,))
         check(
             library().cloth_draw_triangles(
                 *self._size,
@@ -108,9 +108,9 @@ class DepthImage:
             library().cloth_draw_solid(
                 *self._size,
                 self._camera,
-                doubles("placement", placement, (12,)),
+                float64_address("placement", placement, (12,)),
                 SHAPES[shape],
-                doubles("size", sizes, (3,)),
+                float64_address("size", sizes, (3,)),
                 radius,
                 label,
                 *self._images,

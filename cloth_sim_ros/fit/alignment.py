@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.recording import FitRecording, is_visible
 from cloth_sim_ros.fit.trajectory import SimulatedMotion
 from cloth_sim_ros.physics.model.forces.force import Array
 
@@ -182,11 +182,11 @@ def cloud_residuals(
         from cloth_sim_ros.fit.surface import signed_distances
 
         triangles = scene.sheet.triangles()
-        points = [alignment.from_camera(cloud[visible(cloud)], pivot) for cloud in _selected(recording, clouds)]
+        points = [alignment.from_camera(cloud[is_visible(cloud)], pivot) for cloud in _selected(recording, clouds)]
         return [signed_distances(p, positions, triangles)[:, None] for p, positions in zip(points, x, strict=True)]
     shown = alignment.to_camera(x, pivot)
     return [
-        cloud[visible(cloud)] - positions[visible(cloud)]
+        cloud[is_visible(cloud)] - positions[is_visible(cloud)]
         for cloud, positions in zip(_selected(recording, clouds), shown, strict=True)
     ]
 
@@ -250,7 +250,7 @@ def search_alignment(
         for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True):
             frames = _frames_from(recording, trajectory)[indices] - offset * recording.scene.rate
             for cloud, x in zip(_selected(recording, indices), trajectory.sample(frames), strict=True):
-                seen = visible(cloud)
+                seen = is_visible(cloud)
                 simulated.append(x[seen])
                 measured.append(cloud[seen])
         results.append(_register(np.concatenate(simulated), np.concatenate(measured), offset, model))

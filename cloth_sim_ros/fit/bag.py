@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.fit import message_fields, tables
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
-from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.recording import FitRecording, is_visible
 from cloth_sim_ros.fit.start import rest_recording
 from cloth_sim_ros.scene.scene import Scene
 
@@ -197,7 +197,7 @@ def _read_fields(
     for log_time, message in message_fields.topic_messages(paths, topic):
         points = message_fields.points_of(message, field)
         if not matched:
-            points = points[visible(points)]
+            points = points[is_visible(points)]
         elif index_field:
             indices = message_fields.indices_of(message, index_field)
             if len(indices) != len(points):
@@ -308,7 +308,7 @@ def _read_cloud(
         raise FitError(f"a cloud is given {frames}; give --camera-pose, transform it, or set frame_id")
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
-        return cloud.stamp or time, points[visible(points)]
+        return cloud.stamp or time, points[is_visible(points)]
     message = decode(data, _CLOUD)
     fields = [field for field in message.fields if field.name in _INDEX_FIELDS and field.datatype in _INTEGER_TYPES]
     if not fields:

@@ -41,7 +41,7 @@ def jackknife_covariance(problem: JointProblem, solution: JointSolution, selecte
     Motions are independent; clouds of a motion may be correlated in any way, and the model may be wrong. Unknowns
     of one motion alone are eliminated before.
     """
-    information, gradient, keep, back = _eliminated(problem, solution)
+    information, gradient, keep, back = _reduced_equations(problem, solution)
     prior_information, _ = problem.prior(solution.point)
     total = information.sum(axis=0) + np.diag(prior_information[keep])
     count = len(selected)
@@ -57,7 +57,7 @@ def jackknife_covariance(problem: JointProblem, solution: JointSolution, selecte
     deviations = np.sqrt(np.diag(matrix)[:p])
     return Covariance(
         matrix=matrix[:p, :p],
-        deviations=_unidentified(deviations, total),
+        deviations=_mark_unidentified(deviations, total),
         alignment_deviations=np.sqrt(variances[p:]),
         freedoms=effective_freedoms(information, total, p),
         has_intervals=True,
@@ -98,20 +98,20 @@ def noise_covariance(problem: JointProblem, solution: JointSolution, selected: S
     deviations = np.sqrt(np.diag(matrix))
     return Covariance(
         matrix=matrix[:p, :p],
-        deviations=_unidentified(deviations[:p], total),
+        deviations=_mark_unidentified(deviations[:p], total),
         alignment_deviations=deviations[p:],
         freedoms=None,
         has_intervals=len(selected) == 1,
     )
 
 
-def _unidentified(deviations: Array, information: Array) -> Array:
+def _mark_unidentified(deviations: Array, information: Array) -> Array:
     """Return the standard deviations, set to infinity if a parameter has negligible information."""
     diagonal = np.diag(information)[: len(deviations)]
     return np.where(diagonal > 1e-2, deviations, np.inf)
 
 
-def _eliminated(
+def _reduced_equations(
     problem: JointProblem, solution: JointSolution
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
     """Return information and gradient of each motion after elimination of the unknowns that it alone has.

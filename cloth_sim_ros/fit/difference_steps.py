@@ -34,7 +34,7 @@ class DifferenceSteps:
         """Return the steps of the first linearization by p parameters."""
         return cls(steps=np.full(p, MAX_STEP), min_steps=np.zeros(p), is_rough=False)
 
-    def following(self, derivatives: Derivatives, sigmas: Array) -> DifferenceSteps:
+    def next_steps(self, derivatives: Derivatives, sigmas: Array) -> DifferenceSteps:
         """Return the steps after a linearization.
 
         Short waves of two linearizations are independent if their steps differ.

@@ -16,7 +16,7 @@ from cloth_sim_ros.fit.fit import Estimate, Fit, fitted_positions
 from cloth_sim_ros.fit.information import ConfoundedDirection
 from cloth_sim_ros.fit.motions import MotionFit
 from cloth_sim_ros.fit.parameters import scene_with
-from cloth_sim_ros.fit.recording import visible
+from cloth_sim_ros.fit.recording import is_visible
 from cloth_sim_ros.fit.text import verdict
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.session import old_keys
@@ -55,7 +55,7 @@ def write_json(fit: Fit, path: Path) -> None:
     }
     content = old_keys.add_old_keys(content, old_keys.FIT)
     with atomic_write(path) as output:
-        output.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        output.write_text(json.dumps(finite_or_none(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def estimate_entry(estimate: Estimate, within: float) -> dict[str, Any]:
@@ -127,7 +127,8 @@ def write_plot(fit: Fit, path: Path) -> None:
     if fit.recording.matched:
         positions = fitted_positions(fit) + (0.0 if fit.shift is None else np.array(fit.shift))
         residuals = [
-            cloud[visible(cloud)] - x[visible(cloud)] for cloud, x in zip(fit.recording.clouds, positions, strict=False)
+            cloud[is_visible(cloud)] - x[is_visible(cloud)]
+            for cloud, x in zip(fit.recording.clouds, positions, strict=False)
         ]
         residuals_mm = 1e3 * np.concatenate(residuals)
         limit = max(4.0 * 1e3 * fit.rms, 1e-6)
@@ -145,10 +146,10 @@ def write_plot(fit: Fit, path: Path) -> None:
         figure.savefig(output, dpi=120, format="png")
 
 
-def plain(value: Any) -> Any:
+def finite_or_none(value: Any) -> Any:
     """Return a JSON tree in which None replaces the numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: finite_or_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [finite_or_none(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.fit.alignment import AlignmentModel, alignment_derivatives, cloud_residuals
 from cloth_sim_ros.fit.noise import NoiseModel, initial_noise, smooth_modes
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, acts_at_rest
-from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.recording import FitRecording, is_visible
 from cloth_sim_ros.fit.solver import MAX_LOG_STEP, PRIOR_SIGMA
 from cloth_sim_ros.fit.trajectory import SimulatedMotion, TrajectoryPool, trajectory_run
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -249,8 +249,8 @@ class JointProblem:
         """Return the smooth modes at a cloud's visible points, shape (n, modes); no modes for bare points."""
         recording = self.recordings[index]
         if not recording.matched:
-            return np.zeros((int(visible(recording.clouds[cloud]).sum()), 0))
-        return np.asarray(self._modes[visible(recording.clouds[cloud])])
+            return np.zeros((int(is_visible(recording.clouds[cloud]).sum()), 0))
+        return np.asarray(self._modes[is_visible(recording.clouds[cloud])])
 
     def white_noise(self, point: Point, loss: str) -> NoiseModel:
         """Return a noise model without smooth errors, of the residuals of a point."""

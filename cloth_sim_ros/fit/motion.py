@@ -185,7 +185,7 @@ def _test_velocity(
     statistic, squares, n_free, blocks = 0.0, 0.0, 0, []
     for axis in range(3):
         design = np.concatenate([column[:, None, None] * modes[None] for column in in_time], axis=2)
-        matrix, values = _centre(design, stack[..., axis], seen)
+        matrix, values = _centre_rows(design, stack[..., axis], seen)
         inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-10)
         solution = inverse @ (matrix.T @ values)
         squares += float(np.square(values - matrix @ solution).sum())
@@ -215,7 +215,7 @@ def _linear_modes(rest_shape: Array) -> Array:
     return np.column_stack([np.ones(len(rest_shape)), plane_coordinates / size])
 
 
-def _centre(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _centre_rows(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return rows of visible particles minus each particle's mean over time, because its position is free."""
     counts = np.maximum(seen.sum(axis=0), 1)
     shown = np.where(seen[..., None], design, 0.0)

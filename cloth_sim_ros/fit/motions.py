@@ -21,10 +21,10 @@ from cloth_sim_ros.fit.joint import JointProblem, JointSolution, Point, linear_c
 from cloth_sim_ros.fit.noise import HUBER, median_deviation
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.recording import FitRecording, check_recording, visible
+from cloth_sim_ros.fit.recording import FitRecording, check_recording, is_visible
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, excess_misfit, pooled_score, rigid_distances, score
-from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
+from cloth_sim_ros.fit.screening import UnusedClouds, screen_clouds
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -99,7 +99,7 @@ class MotionFit:
     excess: float | None
     n_clouds: int
     n_recorded_clouds: int
-    left_out: LeftOut
+    left_out: UnusedClouds
     missing_fraction: float | None
     #: Reason why no parameter counts as identified, and the remedy; empty if the intervals are valid.
     doubt: str
@@ -174,7 +174,7 @@ def fit_motions(
     try:
         centre = np.mean([recording.scene.initial_positions().mean(axis=0) for recording in recordings], axis=0)
         if recordings[0].matched:
-            first = [cloud[visible(cloud)] for cloud in recordings[0].clouds if visible(cloud).any()]
+            first = [cloud[is_visible(cloud)] for cloud in recordings[0].clouds if is_visible(cloud).any()]
             centre = np.median(np.concatenate(first), axis=0)
         problem = JointProblem(
             recordings=recordings,
@@ -229,7 +229,7 @@ def held_out_indices(n_recordings: int, held_out: int) -> list[int]:
 
 
 def _fit_problem(
-    problem: JointProblem, left_out: LeftOut, held_out: int, loss: str, within: float, n_before: int
+    problem: JointProblem, left_out: UnusedClouds, held_out: int, loss: str, within: float, n_before: int
 ) -> MotionFit:
     outside = held_out_indices(len(problem.recordings), held_out)
     inside = [k for k in range(len(problem.recordings)) if k not in outside and len(problem.used[k])]
@@ -263,7 +263,7 @@ def strongest_motions(
     """
     strengths = {}
     for k in candidates:
-        clouds = [cloud[visible(cloud)].mean(axis=0) for cloud in recordings[k].clouds if visible(cloud).any()]
+        clouds = [cloud[is_visible(cloud)].mean(axis=0) for cloud in recordings[k].clouds if is_visible(cloud).any()]
         strengths[k] = float(np.std(np.array(clouds), axis=0).sum()) if clouds else 0.0
     order = sorted(candidates, key=lambda k: -strengths[k])
     strong = order[: (count + 1) // 2]
@@ -379,7 +379,7 @@ def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: 
         )
         point = solution.point
         sigmas = noise_covariance(problem, solution, inside).deviations
-        differences = differences.following(solution.derivatives, sigmas)
+        differences = differences.next_steps(solution.derivatives, sigmas)
         residuals = np.concatenate([r.ravel() for part in point.residuals for r in part])
         counts = linear_clouds(problem, solution, inside, median_deviation(residuals), step_bounds(sigmas))
         removed = sum(len(problem.used[k]) - n for k, n in zip(inside, counts, strict=True))
@@ -406,7 +406,7 @@ def _build(
     solution: JointSolution,
     inside: list[int],
     outside: list[int],
-    left_out: LeftOut,
+    left_out: UnusedClouds,
     loss: str,
     within: float,
     n_before: int,
@@ -424,7 +424,7 @@ def _build(
     motions = _score_motions(problem, solution, covariance, inside, outside, by_motion)
     entries_without = [entry for entry in motions if entry.is_held_out]
     typical = float(np.median([entry.model.rms for entry in motions]))
-    model, n_seen = problem.alignment, [int(visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
+    model, n_seen = problem.alignment, [int(is_visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
     n_points = sum(len(c) for k in inside for c in _used_clouds(problem, k))
     noise = solution.noise
     smooth = float(noise.variances.sum())

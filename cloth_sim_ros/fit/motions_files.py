@@ -10,7 +10,7 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.fit.files import confounded_entry, estimate_entry, plain
+from cloth_sim_ros.fit.files import confounded_entry, estimate_entry, finite_or_none
 from cloth_sim_ros.fit.motions import MotionFit
 from cloth_sim_ros.fit.scores import Score
 from cloth_sim_ros.session.output_files import atomic_write
@@ -68,7 +68,7 @@ def write_json(fit: MotionFit, path: Path) -> None:
         "within": fit.within,
     }
     with atomic_write(path) as output:
-        output.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        output.write_text(json.dumps(finite_or_none(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_plot(fit: MotionFit, path: Path) -> None:

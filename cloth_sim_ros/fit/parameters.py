@@ -60,7 +60,7 @@ SEARCH_FACTOR = 100.0
 
 
 class FitError(ValueError):
-    """A fit is impossible; the message gives cause and remedy."""
+    """Error: a fit is impossible; the message gives cause and remedy."""
 
 
 @attrs.frozen(kw_only=True)

@@ -77,7 +77,7 @@ def fit_real(
     parameters = choose_parameters(scene, names, start)
     max_offset = 0.0 if time_offset == FIXED else MAX_OFFSET
     with TrajectoryPool(workers) as pool:
-        choose = _Chooser(
+        choose = _GraspChooser(
             recordings=recordings,
             scene=scene,
             parameters=parameters,
@@ -86,7 +86,7 @@ def fit_real(
             pool=pool,
             on_progress=on_progress,
         )
-        choice = choose.initial(named, max_offset) if by_recording is None else None
+        choice = choose.initial_choice(named, max_offset) if by_recording is None else None
         while True:
             if by_recording is None:
                 prepared = _prepare(recordings, scene, choice, named, settle_time, max_offset)
@@ -107,7 +107,7 @@ def fit_real(
             if choice is None or len(choice.hypotheses) < 2:
                 return attrs.evolve(fit, n_runs=pool.n_runs, grasp=choice)
             # The starting values may have misled the first choice.
-            again = choose.repeated(choice, list(fit.values.values()))
+            again = choose.repeated_choice(choice, list(fit.values.values()))
             if again.best.particles == choice.best.particles or choice.is_final:
                 return _with_choice(
                     fit, again if again.best.particles == choice.best.particles else choice, pool.n_runs
@@ -116,7 +116,7 @@ def fit_real(
 
 
 def _with_choice(fit: MotionFit, choice: GraspChoice, n_runs: int) -> MotionFit:
-    """Return a fit with the choice of grasped particles; a tie is a reason to doubt it."""
+    """Return a fit with the choice of grasped particles; with a tie no parameter counts as identified."""
     if not choice.is_tie or fit.doubt:
         return attrs.evolve(fit, grasp=choice, n_runs=n_runs)
     first, second = choice.hypotheses[:2]
@@ -176,8 +176,8 @@ def _prepare_named(
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class _Chooser:
-    """Chooses the grasped particles by simulations of several combinations."""
+class _GraspChooser:
+    """Choice of grasped particles by simulations of several combinations."""
 
     recordings: Sequence[Recording]
     scene: Scene
@@ -187,7 +187,7 @@ class _Chooser:
     pool: TrajectoryPool
     on_progress: Callable[[int], None]
 
-    def initial(self, named: Mapping[str, tuple[int, ...]], max_offset: float) -> GraspChoice | None:
+    def initial_choice(self, named: Mapping[str, tuple[int, ...]], max_offset: float) -> GraspChoice | None:
         """Return the choice by simulations with the starting values; None for bare points, which show no particle."""
         if not self.recordings[0].matched:
             return None
@@ -205,7 +205,7 @@ class _Chooser:
             remaining = [dict(hypothesis.particles) for hypothesis in scored[: ROUNDS[1][0]]]
         return GraspChoice(hypotheses=tuple(scored), is_named=False, grippers=grippers)
 
-    def repeated(self, choice: GraspChoice, values: Sequence[float]) -> GraspChoice:
+    def repeated_choice(self, choice: GraspChoice, values: Sequence[float]) -> GraspChoice:
         """Return the choice among the best combinations by simulations with other values of the parameters."""
         n_combinations, n_recordings = ROUNDS[1]
         best = [hypothesis.particles for hypothesis in choice.hypotheses[:n_combinations]]

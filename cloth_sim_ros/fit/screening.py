@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.parameters import FitError
-from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.recording import FitRecording, is_visible
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
@@ -26,7 +26,7 @@ _SIDEWAYS = 1.5
 
 
 @attrs.frozen(kw_only=True)
-class LeftOut:
+class UnusedClouds:
     """Numbers of clouds that a fit does not use, by reason."""
 
     #: Clouds without a point.
@@ -47,7 +47,7 @@ class LeftOut:
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class Screened:
+class ScreenedClouds:
     """Indices of the clouds that may show the cloth, and numbers of the others."""
 
     #: Indices of the usable clouds of each recording.
@@ -56,12 +56,12 @@ class Screened:
     n_wrong_scale: int
     n_shortened: int
 
-    def left_out(self) -> LeftOut:
+    def left_out(self) -> UnusedClouds:
         """Return the numbers of clouds that were left out, by reason."""
-        return LeftOut(empty=self.n_empty, wrong_scale=self.n_wrong_scale, shortened=self.n_shortened)
+        return UnusedClouds(empty=self.n_empty, wrong_scale=self.n_wrong_scale, shortened=self.n_shortened)
 
 
-def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
+def screen_clouds(recordings: Sequence[FitRecording]) -> ScreenedClouds:
     """Return the clouds that may show the cloth: with points, of its size, and not shortened.
 
     A camera that loses a part of a real cloth spreads the points over the rest of it, so that they stand too close.
@@ -74,7 +74,7 @@ def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
     for recording in recordings:
         rest_shape, indices = recording.scene.sheet.positions(), list[int]()
         for k, cloud in enumerate(recording.clouds):
-            seen = visible(cloud)
+            seen = is_visible(cloud)
             if not seen.any():
                 n_empty += 1
                 continue
@@ -99,7 +99,7 @@ def screen_clouds(recordings: Sequence[FitRecording]) -> Screened:
     n_before = sum(len(indices) for indices in used)
     used = _without_shortened(recordings, used)
     n_shortened = n_before - sum(len(indices) for indices in used)
-    return Screened(used=tuple(used), n_empty=n_empty, n_wrong_scale=n_wrong, n_shortened=n_shortened)
+    return ScreenedClouds(used=tuple(used), n_empty=n_empty, n_wrong_scale=n_wrong, n_shortened=n_shortened)
 
 
 def _without_shortened(
@@ -114,7 +114,9 @@ def _without_shortened(
         return list(used)
     ratios = [length_ratios([r.clouds[k] for k in indices], scene) for r, indices in zip(recordings, used, strict=True)]
     together = np.concatenate(ratios)
-    limits = np.array([(1.0 - MAX_SHORTENING) * min(_usual(column[np.isfinite(column)]), 1.0) for column in together.T])
+    limits = np.array(
+        [(1.0 - MAX_SHORTENING) * min(_shorth_midpoint(column[np.isfinite(column)]), 1.0) for column in together.T]
+    )
     return [indices[~(part < limits).any(axis=1)] for indices, part in zip(used, ratios, strict=True)]
 
 
@@ -139,7 +141,7 @@ def length_ratios(clouds: Sequence[Array], scene: Scene) -> Array:
     directions = along > _SIDEWAYS * across, across > _SIDEWAYS * along
     ratios = np.full((len(clouds), 2), np.nan)
     for ratio, cloud in zip(ratios, clouds, strict=True):
-        lengths, is_seen = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1), visible(cloud)[edges]
+        lengths, is_seen = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1), is_visible(cloud)[edges]
         for k, chosen in enumerate(directions):
             used = chosen & is_seen.all(axis=1)
             if used.sum() >= _MIN_LENGTHS:
@@ -147,7 +149,7 @@ def length_ratios(clouds: Sequence[Array], scene: Scene) -> Array:
     return ratios
 
 
-def _usual(ratios: Array) -> float:
+def _shorth_midpoint(ratios: Array) -> float:
     """Return the centre of the shortest interval that holds half of some ratios, a robust mode; infinite for none."""
     if not ratios.size:
         return float("inf")

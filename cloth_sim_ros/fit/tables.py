@@ -122,7 +122,7 @@ def _read_arrays(
             for name in _ARRAYS:
                 key = columns.get(name, name)
                 if key not in file:
-                    raise FitError(f"there is no array '{key}'; there are {_listed(file.files)}")
+                    raise FitError(f"there is no array '{key}'; there are {_names_text(file.files)}")
                 n_bytes = file.zip.getinfo(f"{key}.npy").file_size
                 if n_bytes > _MAX_BYTES:
                     raise FitError(f"the array '{key}' has {n_bytes} bytes unpacked; at most {_MAX_BYTES} are read")
@@ -157,13 +157,13 @@ def _read_csv(
     header = [name.strip() for name in next(reader, [])]
     names = {name: columns.get(name, name) for name in _COLUMNS}
     if names["time"] not in header:
-        raise FitError(f"there is no column '{names['time']}'; there are {_listed(header)}")
+        raise FitError(f"there is no column '{names['time']}'; there are {_names_text(header)}")
     wide = _wide_columns(header, names) if names["x"] not in header else {}
     if not wide:
         needed = [names[name] for name in _COLUMNS if matched or name != "particle"]
         missing = [name for name in needed if name not in header]
         if missing:
-            raise FitError(f"there is no column '{missing[0]}'; there are {_listed(header)}")
+            raise FitError(f"there is no column '{missing[0]}'; there are {_names_text(header)}")
     if matched and wide and max(wide) >= count:
         raise FitError(f"there are columns of particle {max(wide)}; there are {count}, from index 0")
     clouds = dict[float, list[tuple[int, list[float]]]]()
@@ -187,7 +187,7 @@ def _read_csv(
     return np.array(list(clouds)), [_cloud(points, count if matched else None) for points in clouds.values()]
 
 
-def _listed(names: Sequence[str]) -> str:
+def _names_text(names: Sequence[str]) -> str:
     """Return the first names as text, and how many more there are; `none` without names."""
     more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return ", ".join(names[:_MAX_LISTED]) + more or "none"

@@ -95,13 +95,13 @@ def solve_windows(problem: FitProblem, seconds: NDArray[np.float64]) -> Windowed
         reason = ""
         if n_linear < n_clouds:
             if n_linear <= windows[-1].n_clouds * 1.1:
-                misfit = is_remainder_misfit(linearization, problem.offsets, n_linear, _noise(windows))
+                misfit = is_remainder_misfit(linearization, problem.offsets, n_linear, _min_window_rms(windows))
                 doubt = MISFIT if misfit else UNCONFIRMED if len(windows) == 1 else _convergence_doubt(windows)
                 return WindowedFit(windows=tuple(windows), reason=_curvature_reason(seconds, n_linear), doubt=doubt)
             n_clouds, linearization = n_linear, linearization.truncate(int(problem.offsets[n_linear]))
         linearization = minimize(problem, linearization, n_clouds, tolerance)
         sigma = problem.deviation(linearization.r)
-        if windows and is_misfit(linearization.r, windows[-1].linearization.r.size, _noise(windows)):
+        if windows and is_misfit(linearization.r, windows[-1].linearization.r.size, _min_window_rms(windows)):
             rms = root_mean_square(linearization.r)
             reason = _misfit_reason(seconds, n_clouds, rms, windows[-1])
             return WindowedFit(windows=tuple(windows), reason=reason, doubt=MISFIT)
@@ -180,7 +180,7 @@ def _linear_range(problem: FitProblem, linearization: Linearization, sigma: floa
     return int(nonempty[curved[0]]) if curved.size else len(n_coordinates)
 
 
-def _noise(windows: list[FitWindow]) -> float:
+def _min_window_rms(windows: list[FitWindow]) -> float:
     """Return the least root mean square of a window's residuals [m], at least the simulation's tolerance."""
     return max(min(root_mean_square(window.linearization.r) for window in windows), windows[-1].tolerance)
 

@@ -60,7 +60,7 @@ def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Can
     Raises:
         LaboratoryError: if no overhang between limits bends to the angle.
     """
-    stated = 0.5 * sum(sample.pair("material.bending_modulus")) or 1e-5
+    stated = 0.5 * sum(sample.warp_and_weft("material.bending_modulus")) or 1e-5
     overhang = 2.0 * (stated / (sample.density * _GRAVITY)) ** (1.0 / 3.0)
     known: list[tuple[float, float]] = []
     for _ in range(_MAX_ITERATIONS):
@@ -88,7 +88,7 @@ def _tip_angle(sample: FabricSample, angle: float, overhang: float, n_cells: int
     # The grid has no Poisson's ratio in bending, therefore the width has no effect.
     width = min(WIDTH, 4.0 * cell)
     specimen = strip(sample, length=(n_cells + 1) * cell, width=width, n_cells=n_cells + 1, angle=angle)
-    positions = specimen.at_rest(specimen.points, specimen.rows(0, 1))
+    positions = specimen.equilibrium_positions(specimen.points, specimen.rows(0, 1))
     _, y, z = positions[specimen.rows(n_cells + 1, n_cells + 1)].mean(axis=0)
     return math.atan2(-float(z), float(y) - 0.5 * cell)
 
@@ -97,7 +97,7 @@ def measure_cantilever(sample: FabricSample, *, cells: int = CELLS) -> list[Meas
     """Measure bending length and flexural rigidity of strips along warp and weft by the cantilever test."""
     measurements = []
     for direction, angle, stated in zip(
-        ("warp", "weft"), (0.0, 0.5 * math.pi), sample.pair("material.bending_modulus"), strict=True
+        ("warp", "weft"), (0.0, 0.5 * math.pi), sample.warp_and_weft("material.bending_modulus"), strict=True
     ):
         bent = cantilever(sample, angle, cells=cells)
         length = (stated / (sample.density * _GRAVITY)) ** (1.0 / 3.0) if stated else None

@@ -156,7 +156,7 @@ def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape 
         heights = _PERTURBATION * np.random.default_rng(seed).standard_normal(len(held))
         positions = np.column_stack([mesh.points, np.where(held, 0.0, heights)])
     else:
-        positions = _resampled(start, mesh, held)
+        positions = _resampled_positions(start, mesh, held)
     loading_time = test.loading_time if start is None else 0.0
     equilibrium = find_equilibrium(scene, positions, loading_time=loading_time, drag=_SETTLING_DRAG)
     return Drape(
@@ -198,7 +198,7 @@ def _plate_parameters(test: DrapeTest) -> dict[str, object]:
     return values
 
 
-def _resampled(start: Drape, mesh: DiscMesh, held: NDArray[np.bool_]) -> Array:
+def _resampled_positions(start: Drape, mesh: DiscMesh, held: NDArray[np.bool_]) -> Array:
     """Return positions of a mesh's particles on the surface of a drape [m], shape (n, 3)."""
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 

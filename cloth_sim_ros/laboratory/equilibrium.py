@@ -38,7 +38,7 @@ _GRAVITY = 9.81
 
 
 class LaboratoryError(ValueError):
-    """A test that can't be done. The message is for the command line."""
+    """Error: a test can't be done. The message is for the command line."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -144,10 +144,10 @@ def out_of_balance(plan: Plan, state: State, t: float, drag: float) -> float:
     """
     acceleration = np.empty_like(state.x)
     plan.accelerations(t, state.x, np.zeros_like(state.x), acceleration, state.memory)
-    return max(_largest(acceleration), drag * _largest(state.v)) / _GRAVITY
+    return max(_max_length(acceleration), drag * _max_length(state.v)) / _GRAVITY
 
 
-def _largest(vectors: Array) -> float:
+def _max_length(vectors: Array) -> float:
     """Return the length of the longest of vectors (3, n)."""
     x, y, z = vectors
     return math.sqrt(float((x * x + y * y + z * z).max()))

@@ -55,7 +55,9 @@ def _clamp_force(
     specimen = strip(sample, length=length, width=width, n_cells=n_cells, angle=angle, values=still)
     upper = specimen.rows(n_cells, n_cells)
     start = specimen.points + np.outer(specimen.points[:, 1] / length, (*shift, 0.0))
-    positions = specimen.at_rest(start, upper | specimen.rows(0, 0), drag=STIFF_DRAG, max_residual=_MAX_RESIDUAL)
+    positions = specimen.equilibrium_positions(
+        start, upper | specimen.rows(0, 0), drag=STIFF_DRAG, max_residual=_MAX_RESIDUAL
+    )
     pull = specimen.forces(positions)[upper].sum(axis=0)
     return np.asarray(-pull[:2] / width)
 
@@ -64,7 +66,7 @@ def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
     """Measure the load of strips along warp and weft at several extensions, and their tensile modulus."""
     measurements = []
     for direction, angle, stated in zip(
-        ("warp", "weft"), (0.0, 0.5 * math.pi), sample.pair("material.stretch_modulus"), strict=True
+        ("warp", "weft"), (0.0, 0.5 * math.pi), sample.warp_and_weft("material.stretch_modulus"), strict=True
     ):
         loads = [
             float(_clamp_force(sample, TENSION_SIZE, angle, cells, (0.0, extension * TENSION_SIZE[0]))[1])
@@ -90,7 +92,7 @@ def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measureme
     makes it smaller than the fabric's.
     """
     length = SHEAR_SIZE[0]
-    stretched = length * (1.0 + SHEAR_TENSION / sample.pair("material.stretch_modulus")[0])
+    stretched = length * (1.0 + SHEAR_TENSION / sample.warp_and_weft("material.stretch_modulus")[0])
     shifts = [(stretched * math.sin(a), stretched * math.cos(a) - length) for a in SHEAR_ANGLES]
     loads = []
     for shear_angle, shift in zip(SHEAR_ANGLES, shifts, strict=True):
@@ -109,7 +111,7 @@ def measure_bias_extension(sample: FabricSample, *, cells: int = CELLS) -> list[
         float(_clamp_force(sample, BIAS_SIZE, 0.25 * math.pi, cells, (0.0, extension * length))[1])
         for extension in BIAS_EXTENSIONS
     ]
-    warp, weft = sample.pair("material.stretch_modulus")
+    warp, weft = sample.warp_and_weft("material.stretch_modulus")
     shear, poisson = (float(sample.parameters[f"material.{name}"]) for name in ("shear_modulus", "poisson_ratio"))
     compliance = 0.25 * (1.0 / warp + 1.0 / weft - 2.0 * poisson / warp) + (0.25 / shear if shear else math.inf)
     zones = (length - 1.5 * width) * width + 0.25 * width * width

@@ -35,7 +35,7 @@ def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
     friction_moment = float(sample.parameters["bending.friction_moment"])
     measurements = []
     for direction, angle, stated in zip(
-        ("warp", "weft"), (0.0, 0.5 * math.pi), sample.pair("material.bending_modulus"), strict=True
+        ("warp", "weft"), (0.0, 0.5 * math.pi), sample.warp_and_weft("material.bending_modulus"), strict=True
     ):
         moments = [bending_moment(sample, angle, curvature, cells=cells) for curvature in CURVATURES]
         slope = (moments[-1] - moments[0]) / (CURVATURES[-1] - CURVATURES[0])

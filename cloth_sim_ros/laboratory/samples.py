@@ -42,7 +42,7 @@ class FabricSample:
         """Mass of the fabric per area [kg/m^2]."""
         return float(self.parameters["material.density"])
 
-    def pair(self, name: str) -> tuple[float, float]:
+    def warp_and_weft(self, name: str) -> tuple[float, float]:
         """Return a parameter's values along warp and weft, from the name of the one along warp."""
         warp = float(self.parameters[name])
         return warp, float(self.parameters[f"{name}_weft"]) or warp

@@ -60,7 +60,7 @@ class FabricStrip:
         """Number of rows of particles along the strip."""
         return int(np.rint(self.points[:, 1].max() / self.cell)) + 1
 
-    def at_rest(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Array:
+    def equilibrium_positions(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Array:
         """Return the positions of the strip's equilibrium [m], (n, 3); arguments and errors as of `equilibrium`."""
         return self.equilibrium(start, held, **options).positions
 

@@ -31,7 +31,7 @@ _LEVER_ARM = 0.1
 
 
 class ActionDecoder:
-    """Decodes action arrays into events of a simulation.
+    """Decoder of action arrays into events of a simulation.
 
     Args:
         scene: the cloth's scene.

@@ -111,7 +111,7 @@ def observation_space(shape: tuple[int, ...]) -> Box:
     return space
 
 
-def mode_of(name: str | AutoresetMode) -> AutoresetMode:
+def parse_autoreset_mode(name: str | AutoresetMode) -> AutoresetMode:
     """Return gymnasium's autoreset mode of a name.
 
     Raises:
@@ -126,7 +126,7 @@ def mode_of(name: str | AutoresetMode) -> AutoresetMode:
         raise ValueError(f"autoreset_mode is {name!r}; it must be one of {names}") from error
 
 
-def mask_of(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
+def reset_mask(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
     """Return a mask of the cloths to reset, ``options["reset_mask"]``, shape (count,); all true by default.
 
     Raises:

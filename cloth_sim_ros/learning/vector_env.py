@@ -26,9 +26,9 @@ from cloth_sim_ros.learning.spaces import (
     action_space,
     check_positive_integer,
     make_workspace,
-    mask_of,
-    mode_of,
     observation_space,
+    parse_autoreset_mode,
+    reset_mask,
     scene_of,
 )
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -111,7 +111,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         self._max_steps = (
             None if max_episode_steps is None else check_positive_integer("max_episode_steps", max_episode_steps)
         )
-        self.autoreset_mode = mode_of(autoreset_mode)
+        self.autoreset_mode = parse_autoreset_mode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self._reward, self._terminated, self._randomise, self._copy = reward, terminated, randomise, copy
         #: Common scene of all cloths that are not randomised.
@@ -166,7 +166,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         Raises:
             ValueError: if seeds or mask have another shape.
         """
-        indices = np.flatnonzero(mask_of(options, self.num_envs)).tolist()
+        indices = np.flatnonzero(reset_mask(options, self.num_envs)).tolist()
         self._generators.seed(seed, indices)
         self._begin(indices)
         return self._returned_observations(), {}

@@ -51,6 +51,19 @@ def with_old_arguments(**new_names: str) -> Callable[[_Function], _Function]:
     return decorate
 
 
+def adopt_old_methods(subclass: type, **new_names: str) -> None:
+    """Give methods that a subclass overrides under old names their new names, with a warning.
+
+    Args:
+        subclass: class of a user, in `__init_subclass__` of a base class.
+        new_names: for each old name of a method of the base class, the new one.
+    """
+    for old, new in new_names.items():
+        if old in vars(subclass) and new not in vars(subclass):
+            _warn(f"method {old} of {subclass.__name__}", new, stacklevel=3)
+            setattr(subclass, new, vars(subclass)[old])
+
+
 class _OldName:
     """Descriptor of a class member's old name: warns, and returns the member with the new name."""
 

@@ -11,7 +11,7 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import finite
+from cloth_sim_ros.engine.binding import checked_floats
 from cloth_sim_ros.physics.integrators.base import TOLERANCE, Advance, Integrator
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.model import Model
@@ -78,13 +78,13 @@ def simulate(
             f"the state has {state.particle_count} particles, the model {plan.model.particle_count}: make the "
             "state of as many positions as the model has masses"
         )
-    until = float(finite("until", until, ()))
+    until = float(checked_floats("until", until, ()))
     if not until > 0.0:
         raise ValueError(f"until is {until} s; it must be above 0")
     if not (integrator is None or isinstance(integrator, Integrator)):
         raise ValueError(f"integrator is {integrator!r}; it must be an object such as Leapfrog(step=1e-4)")
     requested_times = [until] if save_at is None else save_at
-    times = finite("save_at", requested_times, (np.size(requested_times),))
+    times = checked_floats("save_at", requested_times, (np.size(requested_times),))
     if (np.diff(times) < 0.0).any() or not times.size or times[0] < 0.0 or times[-1] > until:
         raise ValueError(f"save_at is {times.tolist()} s; it must hold times that ascend from 0 to until, {until} s")
     stepper = integrator or make_integrator("auto", tolerance=tolerance)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Drawing of grippers: wire sphere, axes, commanded path, held particles."""
+"""Drawing of grippers: wire sphere, axes, commanded path, grasped particles."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def target_path(name: str) -> str:
     return f"/world/targets/{name}"
 
 
-def held_path(name: str) -> str:
+def grasped_path(name: str) -> str:
     """Return the Rerun entity path of the particles that a gripper holds."""
     return f"/world/held/{name}"
 
 
 class GripperView:
-    """Draws a session's grippers in Rerun.
+    """Drawing of a session's grippers in Rerun.
 
     Args:
-        tracks: their poses and held particles.
+        tracks: their poses and grasped particles.
         table: returns the rows of an entity path and archetype.
     """
 
@@ -62,7 +62,7 @@ class GripperView:
             recording.log(f"{path}/axes", axes, static=True)
             for point_path, colour, radius in (
                 (target_path(name), colours.TRAIL, 0.0022 * size),
-                (held_path(name), colours.HELD, 0.0055 * size),
+                (grasped_path(name), colours.GRASPED, 0.0055 * size),
             ):
                 points = rr.Points3D.from_fields(colors=np.array([colour], np.uint32), radii=[radius])
                 recording.log(point_path, points, static=True)
@@ -90,14 +90,14 @@ class GripperView:
                 target = self._table(target_path(name), rr.Points3D)
                 target.add(moment, positions=track.target[:3].astype(np.float32))
 
-    def held(self, xyz: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-        """Return the positions (k, 3) of the particles held by each gripper, from those of all particles (n, 3) [m]."""
+    def grasped_positions(self, xyz: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        """Return the positions (k, 3) [m] of each gripper's grasped particles, from those of all particles (n, 3)."""
         tracks = self._tracks.tracks.items()
-        return {name: xyz[:0] if track.held is None else xyz[track.held] for name, track in tracks}
+        return {name: xyz[:0] if track.grasped is None else xyz[track.grasped] for name, track in tracks}
 
-    def show_held(self, moment: Moment, held: dict[str, Any]) -> None:
+    def show_grasped(self, moment: Moment, grasped: dict[str, Any]) -> None:
         """Draw the particles that grippers hold at a moment."""
         import rerun as rr
 
-        for name, positions in held.items():
-            self._table(held_path(name), rr.Points3D, ragged=("positions",)).add(moment, positions=positions)
+        for name, positions in grasped.items():
+            self._table(grasped_path(name), rr.Points3D, ragged=("positions",)).add(moment, positions=positions)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses and held particles of the grippers, from the recorded events."""
+"""Poses and grasped particles of the grippers, from the recorded events."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 
 class GripperTrack:
-    """Pose, target and held particles of one gripper, frame by frame, from recorded events.
+    """Pose, target and grasped particles of one gripper, frame by frame, from recorded events.
 
     A gripper reaches its target at the end of each frame in which time passes, unless the frame's record has another
     pose. Like in the simulation, it grasps the free particles within its radius when it closes. Their positions come
@@ -30,7 +30,7 @@ class GripperTrack:
         pose: Floats | None,
         target: Floats,
         closed: bool,
-        held: NDArray[np.int64],
+        grasped: NDArray[np.int64],
         pinches: bool = False,
     ) -> None:
         self.name = name
@@ -40,8 +40,8 @@ class GripperTrack:
         self.pose = None if pose is None else pose.copy()
         self.target = target.copy()
         self.closed = closed
-        #: Indices of the held particles; None if no cloud shows their positions at the grasp.
-        self.held: NDArray[np.intp] | None = held.astype(np.intp)
+        #: Indices of the grasped particles; None if no cloud shows their positions at the grasp.
+        self.grasped: NDArray[np.intp] | None = grasped.astype(np.intp)
 
     def set_target(self, position: Floats, orientation: Floats | None) -> None:
         """Set the target position [m] and orientation; the first target places the gripper there."""
@@ -72,19 +72,19 @@ class GripperTrack:
         self.closed = True
         if self.pose is None or self.pinches:
             return
-        self.held = None
+        self.grasped = None
         if xyz is not None:
             in_reach = np.linalg.norm(xyz - self.pose[:3], axis=1) <= radius
-            self.held = np.flatnonzero(in_reach & free)
+            self.grasped = np.flatnonzero(in_reach & free)
 
     def open(self) -> None:
         """Open the gripper and release its particles."""
         self.closed = False
-        self.held = np.zeros(0, dtype=np.intp)
+        self.grasped = np.zeros(0, dtype=np.intp)
 
 
 class GripperTracks:
-    """Poses, targets and held particles of all grippers of a session, frame by frame."""
+    """Poses, targets and grasped particles of all grippers of a session, frame by frame."""
 
     def __init__(self, opening: Opening, anchored: NDArray[np.intp]) -> None:
         #: Maximum distance at which a gripper grasps particles [m].
@@ -97,7 +97,7 @@ class GripperTracks:
                 pose=start.pose,
                 target=start.target,
                 closed=start.closed,
-                held=start.held,
+                grasped=start.grasped,
                 pinches=start.pinches,
             )
             for start in opening.grippers
@@ -111,7 +111,7 @@ class GripperTracks:
     def advance(
         self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating] | None]
     ) -> list[int | None]:
-        """Apply the recorded events of a frame; return the number of particles held after each event.
+        """Apply the recorded events of a frame; return the number of particles grasped after each event.
 
         Args:
             record: record of the frame.
@@ -137,7 +137,7 @@ class GripperTracks:
                 self.radius = float(event["values"].get("gripper.radius", self.radius))
             elif kind == "reset":
                 self._reset()
-            counts.append(None if track is None or track.held is None else len(track.held))
+            counts.append(None if track is None or track.grasped is None else len(track.grasped))
         # Not by the number of steps: a sleeping cloth takes none while time passes.
         if not record.paused or any(event.get("kind") == "step" for event in record.events):
             poses, stopped = record.extras.get("poses", {}), record.extras.get("halted", ())
@@ -151,5 +151,5 @@ class GripperTracks:
         none = np.zeros(0, dtype=np.int64)
         for name, track in self.tracks.items():
             self.tracks[name] = GripperTrack(
-                name, pose=None, target=nowhere, closed=False, held=none, pinches=track.pinches
+                name, pose=None, target=nowhere, closed=False, grasped=none, pinches=track.pinches
             )

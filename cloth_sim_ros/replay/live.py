@@ -33,7 +33,7 @@ _COMMANDS = {"target": "geometry_msgs/msg/PoseStamped", "point": "geometry_msgs/
 
 
 class LiveView:
-    """Shows a running node's messages in Rerun as they come; each start of the node begins a new recording.
+    """View of a running node's messages in Rerun as they come; each start of the node begins a new recording.
 
     Args:
         node: resolved name of the node.
@@ -245,7 +245,7 @@ def live_scan(
                 pose=None,
                 target=nowhere,
                 closed=False,
-                held=none,
+                grasped=none,
                 pinches=(parameters.get(f"{name}.mode") or mode) == "pinch",
             )
             for name in names

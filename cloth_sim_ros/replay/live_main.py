@@ -107,7 +107,7 @@ def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
         recording.send_recording_name(options.node.strip("/") + (f" {n_recordings}" if n_recordings > 1 else ""))
         blueprint = make_blueprint(scan, following=True)
         if options.save:
-            path = numbered(options.save, n_recordings)
+            path = numbered_path(options.save, n_recordings)
             recording.save(path, default_blueprint=blueprint)
             _print(f"writing {path}")
         else:
@@ -127,7 +127,7 @@ def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
     return DONE
 
 
-def numbered(path: Path, index: int) -> Path:
+def numbered_path(path: Path, index: int) -> Path:
     """Return the path of the recording number `index`: the second one of `out.rrd` is `out_2.rrd`."""
     return path if index == 1 else path.with_name(f"{path.stem}_{index}{path.suffix}")
 

@@ -28,7 +28,7 @@ def obstacle_path(namespace: str, marker_id: int) -> str:
 
 
 class ObstacleView:
-    """Draws a session's obstacles in Rerun.
+    """Drawing of a session's obstacles in Rerun.
 
     Args:
         recording: Rerun stream.

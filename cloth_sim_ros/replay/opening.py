@@ -40,8 +40,8 @@ class GripperStart:
     """Position [m] and quaternion x, y, z, w, shape (7,); None before its first target."""
     target: NDArray[np.float64]
     closed: bool
-    held: NDArray[np.int64]
-    """Indices of the held particles."""
+    grasped: NDArray[np.int64]
+    """Indices of the grasped particles."""
     pinches: bool = False
     """True if it closes pads, which are drawn as obstacles, instead of grasping particles."""
 
@@ -61,7 +61,7 @@ class Opening:
     has_ensemble: bool = False
     """True if an ensemble of uncertain parameters ran beside the cloth."""
 
-    def anchored(self, rows: int, columns: int, anchors: Sequence[str] | None = None) -> NDArray[np.intp]:
+    def anchored_particles(self, rows: int, columns: int, anchors: Sequence[str] | None = None) -> NDArray[np.intp]:
         """Return the indices of anchored particles, from the names of a grid's edges and corners, or from indices.
 
         `anchors`: `cloth.anchors`; by default that of the snapshot.
@@ -127,7 +127,7 @@ def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]], mode: str) 
         pose=entry("gripper.pose", nowhere) if bool(entry("gripper.placed", np.array(False))) else None,
         target=entry("gripper.target", nowhere),
         closed=bool(entry("gripper.closed", np.array(False))),
-        held=particles[starts[index] : starts[index + 1]] if known else particles[:0],
+        grasped=particles[starts[index] : starts[index + 1]] if known else particles[:0],
         pinches=mode == "pinch",
     )
 

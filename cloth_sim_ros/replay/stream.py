@@ -40,18 +40,18 @@ CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
 
 
 class _ShownCloud(NamedTuple):
-    """Cloud with its normals, strains or errors, and held particles, ready to be drawn."""
+    """Cloud with its normals, strains or errors, and grasped particles, ready to be drawn."""
 
     moment: Moment
     xyz: NDArray[np.float32]
     normals: NDArray[np.float32]
     #: Quantity that determines the colour: strain, or error [m].
     shade: NDArray[np.float32]
-    held: dict[str, NDArray[np.float32]]
+    grasped: dict[str, NDArray[np.float32]]
 
 
 class ReplayStream:
-    """Shows the messages of one session in Rerun, in batches.
+    """Stream of one session's messages into Rerun, in batches.
 
     Args:
         recording: Rerun stream.
@@ -86,7 +86,7 @@ class ReplayStream:
         #: Number of messages of the ensemble.
         self._n_deviations = 0
         self._every, self._last_time = every, last_time
-        self._anchored = scan.opening.anchored(scan.rows, scan.columns)
+        self._anchored = scan.opening.anchored_particles(scan.rows, scan.columns)
         self._grippers = GripperTracks(scan.opening, self._anchored)
         #: True if any particle was anchored so far.
         self._has_anchors = len(self._anchored) > 0
@@ -94,7 +94,7 @@ class ReplayStream:
         #: Frame indices of the newest record and of the newest cloud; None before the first.
         self._recorded_frame: int | None = None
         self._cloud_frame: int | None = None
-        #: Events of the newest frame: time, event, number of held particles by a cloud. Logged after the node has
+        #: Events of the newest frame: time, event, number of grasped particles by a cloud. Logged after the node has
         #: sent the states of its grippers.
         self._events: list[tuple[Moment, Any, int | None]] = []
         self._moment = Moment(0.0, 0, 0)
@@ -240,7 +240,7 @@ class ReplayStream:
             anchors = event["values"].get("cloth.anchors") if event.get("kind") == "set_parameters" else None
             if anchors is not None:
                 scan = self._scan
-                self._anchored = scan.opening.anchored(scan.rows, scan.columns, anchors)
+                self._anchored = scan.opening.anchored_particles(scan.rows, scan.columns, anchors)
                 self._grippers.set_anchored(self._anchored)
                 self._has_anchors = self._has_anchors or len(self._anchored) > 0
 
@@ -261,7 +261,7 @@ class ReplayStream:
         if self.clouds_seen == 1:
             self._show_deviations(moment, np.zeros(len(xyz), np.float32))
         shade = strain if self._accuracy is None else self._accuracy.errors(moment.frame)
-        shown = _ShownCloud(moment, xyz, normals, shade, self._view.held(xyz))
+        shown = _ShownCloud(moment, xyz, normals, shade, self._view.grasped_positions(xyz))
         if self._last_time is None:
             self._show(shown)
         elif self._pending_cloud is None or moment.sim_time <= self._last_time:
@@ -299,7 +299,7 @@ class ReplayStream:
 
     def _show(self, shown: _ShownCloud) -> None:
 
-        moment, xyz, normals, shade, held = shown
+        moment, xyz, normals, shade, grasped = shown
         if self._accuracy is None and self._scan.deviation_limit is not None:
             self._cloth_rows.add(moment, vertex_positions=xyz, vertex_normals=normals)
         else:
@@ -309,7 +309,7 @@ class ReplayStream:
             self._cloth_rows.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
         if self._has_anchors:
             self._anchor_rows.add(moment, positions=xyz[self._anchored])
-        self._view.show_held(moment, held)
+        self._view.show_grasped(moment, grasped)
         self.clouds_shown += 1
 
     def _add_wrench(self, message: Message) -> None:

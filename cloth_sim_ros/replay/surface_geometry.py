@@ -30,7 +30,7 @@ _MIN_NORMAL = np.float32(1e-30)
 
 
 class SurfaceGeometry(ABC):
-    """Computes normals and strains of the clouds of one surface; base of a mesh's and a grid's geometry."""
+    """Base class for normals and strains of the clouds of one surface, a mesh or a grid."""
 
     @abstractmethod
     def compute(self, xyz: Floats, normals: Floats, strain: Floats) -> None:

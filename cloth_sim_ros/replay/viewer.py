@@ -44,7 +44,7 @@ _COLOUR_CODES = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class ViewerError(Exception):
-    """The viewer cannot be used on this machine; the message names the requirement."""
+    """Error: the viewer cannot be used on this machine; the message names the requirement."""
 
 
 class Viewer(NamedTuple):

@@ -48,7 +48,7 @@ _STOP_TIMEOUT = 10.0
 
 
 class DemoError(RuntimeError):
-    """The demonstration failed; the message says why."""
+    """Error: the demonstration failed; the message says why."""
 
 
 @attrs.define

@@ -148,7 +148,7 @@ def friction_of_hinges(scene: PhysicsScene, sheet: Sheet) -> Force:
         shape = HingeShape.of(hinges, sheet.positions()) if raw is None else raw.hinge_shape(hinges)
         constants = calibration.shape_hinge_constants(shape, bending_modulus=modulus)
     angle = _rest_angle(scene, hinges)
-    shape = shape if angle is None else shape.at(angle)
+    shape = shape if angle is None else shape.folded(angle)
     moments = share * bending.friction_moment * shape.edge
     return hinge_friction(hinges, shape, hinge_constants=constants, moments=moments)
 

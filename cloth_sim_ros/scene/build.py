@@ -23,11 +23,11 @@ from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model.forces.grips import Grips
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, damping_coefficient
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import GridFamily
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
-from cloth_sim_ros.physics.model.sheets.material import Threads, grid_threads
+from cloth_sim_ros.physics.model.sheets.material import ThreadStiffness, grid_threads
 from cloth_sim_ros.physics.model.sheets.merging import component_labels
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
@@ -83,7 +83,7 @@ def _parsed_sheet(
     return springs_file.parse(data)
 
 
-def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> Threads:
+def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> ThreadStiffness:
     """Calculate the spring stiffnesses of a scene's grid, as force per strain [N], from its moduli.
 
     Raises:
@@ -273,7 +273,7 @@ def _grips(scene: PhysicsScene, sheet: Sheet, masses: Array) -> Grips:
     grips = Grips(n_grippers + len(obstacles))
     starts = np.concatenate([np.zeros(n_grippers, dtype=np.int64), grasps.starts])
     paths = np.concatenate([grips.paths[:n_grippers], paths[obstacles]])
-    grips.hold(paths, starts, grasps.particles, grasps.offsets, grasps.stiffness, grasps.damping)
+    grips.set_grips(paths, starts, grasps.particles, grasps.offsets, grasps.stiffness, grasps.damping)
     return grips
 
 
@@ -305,7 +305,7 @@ def joint_grasps(
     obstacles, first = np.unique([names.index(name) for name, _ in joints], return_index=True)
     stiffness = np.full(len(joints), scene.cloth.joint_stiffness)
     # An obstacle is a fixed end, so the lecture's m is the particle's mass.
-    damping = lecture_damping(scene.cloth.joint_damping, stiffness, masses[particles])
+    damping = damping_coefficient(scene.cloth.joint_damping, stiffness, masses[particles])
     starts = np.append(first, len(joints)).astype(np.int64)
     return obstacles, Grasps(starts, particles, offsets, stiffness, damping)
 
@@ -385,7 +385,7 @@ def build_plan(scene: PhysicsScene) -> Plan:
     return compile(build_model(scene))
 
 
-def _grid_families(scene: PhysicsScene, sheet: GridSheet, threads: Threads) -> dict[str, list[GridFamily]]:
+def _grid_families(scene: PhysicsScene, sheet: GridSheet, threads: ThreadStiffness) -> dict[str, list[GridFamily]]:
     material = scene.material
     return sheet.families(
         threads,
@@ -427,7 +427,7 @@ def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[F
     return [force, *springs]
 
 
-def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[Threads, tuple[float, float]]:
+def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[ThreadStiffness, tuple[float, float]]:
     """Return the axial bending springs of a grid as threads, and the stretch stiffness that they add [N/m].
 
     The stiffness is along warp and weft. The threads have neither edges nor diagonals.
@@ -443,7 +443,7 @@ def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[Threads, tuple
         )
     hx, hy = sheet.spacing
     along_rows, along_columns = along_grid(scene, (warp, weft), "bending.stiffness")
-    threads = Threads(
+    threads = ThreadStiffness(
         along_rows=0.0,
         along_columns=0.0,
         diagonal=0.0,
@@ -513,5 +513,5 @@ def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> lis
     if not len(pairs):
         return []
     cloth, (first, second) = scene.cloth, masses[pairs.T]
-    damping = lecture_damping(cloth.joint_damping, cloth.joint_stiffness, 2.0 / (1.0 / first + 1.0 / second))
+    damping = damping_coefficient(cloth.joint_damping, cloth.joint_stiffness, 2.0 / (1.0 / first + 1.0 / second))
     return [PairSprings(pairs, 0.0, cloth.joint_stiffness, damping, name="joints")]

@@ -21,12 +21,12 @@ from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters.declare import NAME, Faults, Parameter, ParameterError
 
 
-def declared(name: str) -> tuple[Parameter, ...]:
+def declarations(name: str) -> tuple[Parameter, ...]:
     """Return the declarations of all parameters of a camera, e.g. `wrist.width` for the name `wrist`."""
-    return parameters.declared(CameraParameters, f"{name}.")
+    return parameters.declarations(CameraParameters, f"{name}.")
 
 
-def named(values: Iterable[str], groups: Collection[str]) -> list[str]:
+def camera_names(values: Iterable[str], groups: Collection[str]) -> list[str]:
     """Return the valid names of cameras that the parameter `cameras` lists, each once.
 
     Args:
@@ -42,12 +42,12 @@ def named(values: Iterable[str], groups: Collection[str]) -> list[str]:
 def hint(name: str, groups: Collection[str]) -> str:
     """Return the end of a sentence on an unknown parameter that might belong to a camera; empty for others."""
     camera, _, leaf = name.rpartition(".")
-    leaves = [entry.name.rpartition(".")[2] for entry in declared("c")]
+    leaves = [entry.name.rpartition(".")[2] for entry in declarations("c")]
     is_camera = leaf in leaves and NAME.fullmatch(camera) and camera not in groups
     return f" If '{camera}' is to be a camera, name it in cameras" if is_camera else ""
 
 
-def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, CameraParameters]:
+def build_cameras(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, CameraParameters]:
     """Build the parameters of each named camera from checked values by full name."""
     return {name: parameters.build(CameraParameters, dict(values), f"{name}.") for name in names}
 
@@ -123,9 +123,9 @@ def check_change(name: str, before: CameraParameters, now: CameraParameters) -> 
         ParameterError: naming the parameter.
     """
     old, new = parameters.flatten(before), parameters.flatten(now)
-    for entry in parameters.declared(CameraParameters):
+    for entry in parameters.declarations(CameraParameters):
         if not entry.live and old[entry.name] != new[entry.name]:
-            raise ParameterError(parameters.read_only(f"{name}.{entry.name}"))
+            raise ParameterError(parameters.read_only_message(f"{name}.{entry.name}"))
 
 
 def optical_frame(node: str, camera: str) -> str:

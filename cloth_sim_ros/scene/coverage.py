@@ -55,7 +55,7 @@ def check_coverage(scene: CoverageScene) -> None:
 
 
 class Coverage:
-    """Measures the area of the cloth's projection onto a plane, with overlapping layers counted once.
+    """Area of the cloth's projection onto a plane, with overlapping layers counted once.
 
     The plane is z = 0 of the obstacle's frame, and the projection is along z. Square cells from the frame's origin on
     count if their centre lies in a projected triangle.

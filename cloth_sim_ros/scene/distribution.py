@@ -35,7 +35,7 @@ _REPORTED_DIFFERENCE = 1.0
 
 
 class DistributionError(ParameterError):
-    """A distribution that cannot be used; the message gives cause and remedy."""
+    """Error: a distribution of parameters cannot be used; the message gives cause and remedy."""
 
 
 @attrs.frozen(kw_only=True)
@@ -91,7 +91,7 @@ class Distribution:
         root, count = _cholesky(self.covariance), len(self.names)
         if members:
             generator = random.Random(seed)
-            points = [[_normal(generator) for _ in range(count)] for _ in range(members)]
+            points = [[_draw_normal(generator) for _ in range(count)] for _ in range(members)]
         else:
             radius = math.sqrt(count)
             points = [[sign * radius * (k == i) for k in range(count)] for i in range(count) for sign in (1.0, -1.0)]
@@ -298,7 +298,7 @@ def _cholesky(covariance: Sequence[Sequence[float]]) -> list[list[float]]:
     return root
 
 
-def _normal(generator: random.Random) -> float:
+def _draw_normal(generator: random.Random) -> float:
     """Draw a number from the standard normal distribution by Marsaglia's polar method."""
     while True:
         x, y = 2.0 * generator.random() - 1.0, 2.0 * generator.random() - 1.0

@@ -140,7 +140,7 @@ def _fabric(name: str, content: Any) -> Fabric:
     ):
         faults.add([f"drape_coefficient is {drape!r}; it must be the smallest and the largest one, from 0 to 1"])
     values = {str(key): value for key, value in content["parameters"].items()}
-    parameters = faults.collect(lambda: declare.check(_allowed(), values))
+    parameters = faults.collect(lambda: declare.check(_fabric_declarations(), values))
     faults.refuse()
     return Fabric(
         name=name,
@@ -158,12 +158,12 @@ def _is_number(value: Any) -> bool:
 
 
 @cache
-def _allowed() -> tuple[declare.Parameter, ...]:
+def _fabric_declarations() -> tuple[declare.Parameter, ...]:
     """Return the declarations of parameters that a fabric may set: material, membrane, bending without rest angles."""
     entries = [
-        *declare.declared(sections.MaterialParameters, "material."),
-        *declare.declared(sections.MembraneParameters, "membrane."),
-        *declare.declared(sections.BendingParameters, "bending."),
+        *declare.declarations(sections.MaterialParameters, "material."),
+        *declare.declarations(sections.MembraneParameters, "membrane."),
+        *declare.declarations(sections.BendingParameters, "bending."),
     ]
     refused = (FABRIC, "bending.rest_angles")
     return tuple(entry for entry in entries if entry.name not in refused)

@@ -21,18 +21,18 @@ LEAVES = ("mode", "model", "frame", "max_speed", "action", "joint_range")
 _SECTION_PREFIX = "gripper."
 
 
-def declared(name: str) -> Parameter:
+def declaration(name: str) -> Parameter:
     """Return the declaration of a single gripper's parameter by its full name, e.g. ``left.frame``."""
     leaf = name.rpartition(".")[2]
     common = next(
         entry
-        for entry in parameters.declared(sections.GripperParameters, _SECTION_PREFIX)
+        for entry in parameters.declarations(sections.GripperParameters, _SECTION_PREFIX)
         if entry.name == f"{_SECTION_PREFIX}{leaf}"
     )
     return attrs.evolve(common, name=name, description=f"Overrides {_SECTION_PREFIX}{leaf} for this gripper")
 
 
-def individual(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
+def individual_names(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
     """Return those of the full names that are parameters of a single gripper, in their order.
 
     Args:

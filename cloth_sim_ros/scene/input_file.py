@@ -15,7 +15,7 @@ _CHUNK_BYTES = 1 << 20
 
 
 class InputFileError(ValueError):
-    """An input file was refused; the message gives the reason."""
+    """Error: an input file was refused; the message gives the reason."""
 
 
 def read_bytes(path: str | Path, *, max_bytes: int = MAX_TEXT) -> bytes:

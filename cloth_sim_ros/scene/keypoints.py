@@ -58,7 +58,7 @@ def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
 
 
 class KeypointPoses:
-    """Computes the poses of the keypoints: z along the surface's normal, x along the cloth.
+    """Poses of the keypoints: z along the surface's normal, x along the cloth.
 
     x follows a grid's row, or the first edge of a mesh's first triangle at the particle. Without a normal the
     orientation is that of the frame.

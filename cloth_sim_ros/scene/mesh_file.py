@@ -19,10 +19,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.contact.solid_repair import closed_solid, is_closed, used_vertices
+from cloth_sim_ros.physics.contact.solid_repair import close_solid, drop_unused_vertices, is_closed
 from cloth_sim_ros.physics.model.sheets.merging import merge_limit
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
-from cloth_sim_ros.physics.model.sheets.meshes import CheckedMesh, checked_mesh, triangulated
+from cloth_sim_ros.physics.model.sheets.meshes import CheckedMesh, checked_mesh, triangulate
 
 KINDS = ("obj", "ply", "stl")
 #: Bytes of a binary STL file's header, the count of triangles included, and of each triangle.
@@ -116,12 +116,12 @@ def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
         raise ValueError(f"'{name}' has vertices 0 to {len(points) - 1}, and a triangle of others")
     # Adding zero turns -0.0 into 0.0.
     _, first, same = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
-    vertices, triangles = used_vertices(points, first[same.reshape(-1)][faces])
+    vertices, triangles = drop_unused_vertices(points, first[same.reshape(-1)][faces])
     notes: tuple[str, ...] = ()
     if not is_closed(vertices, triangles):
         used = content.points[np.unique(faces)]
         limit = merge_limit(used, single_precision=content.single) if np.isfinite(used).all() else 0.0
-        vertices, triangles, notes = closed_solid(vertices, triangles, limit)
+        vertices, triangles, notes = close_solid(vertices, triangles, limit)
         for note in notes:
             _log.info("mesh '%s': %s", name, note)
     return SolidMesh(vertices=vertices if scale == 1.0 else vertices * scale, triangles=triangles, notes=notes)
@@ -173,7 +173,7 @@ def _obj(data: bytes) -> _Content:
     if max_index > len(points):
         raise ValueError(f"line {max_index_line}: a face has vertex {max_index}; the file has {len(points)} vertices")
     positions = np.array(points, dtype=np.float64).reshape(-1, 3)
-    return _Content(points=positions, triangles=triangulated(positions, polygons))
+    return _Content(points=positions, triangles=triangulate(positions, polygons))
 
 
 def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
@@ -214,7 +214,7 @@ def _ply(data: bytes) -> _Content:
     from cloth_sim_ros.scene.ply_file import read_ply
 
     mesh = read_ply(data)
-    triangles = triangulated(mesh.points, mesh.polygons)
+    triangles = triangulate(mesh.points, mesh.polygons)
     return _Content(points=mesh.points, triangles=triangles, single=mesh.single)
 
 

@@ -32,12 +32,12 @@ LIVE_LEAVES = ("friction", "frame")
 _SHAPE_LEAF = "shape"
 
 
-def declared(name: str) -> tuple[Parameter, ...]:
+def declarations(name: str) -> tuple[Parameter, ...]:
     """Return the declarations of all parameters of an obstacle, e.g. `table.size` for the name `table`."""
-    return parameters.declared(sections.ObstacleParameters, f"{name}.")
+    return parameters.declarations(sections.ObstacleParameters, f"{name}.")
 
 
-def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
+def described_obstacles(values: Iterable[str], groups: Collection[str]) -> list[str]:
     """Return the obstacles whose `<name>.shape` is among full names of parameters, in their order.
 
     Args:
@@ -51,13 +51,13 @@ def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
 def hint(name: str, groups: Collection[str]) -> str:
     """Return the end of a sentence on an unknown parameter that might belong to an obstacle; empty for others."""
     obstacle, _, leaf = name.rpartition(".")
-    leaves = [entry.name.rpartition(".")[2] for entry in declared("o")]
+    leaves = [entry.name.rpartition(".")[2] for entry in declarations("o")]
     if leaf not in leaves or not NAME.fullmatch(obstacle) or obstacle in groups:
         return ""
     return f" If '{obstacle}' is to be an obstacle, set {obstacle}.{_SHAPE_LEAF} with it, or before"
 
 
-def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.ObstacleParameters]:
+def build_descriptions(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.ObstacleParameters]:
     """Build the description of each named obstacle from checked values by full name."""
     return {name: parameters.build(sections.ObstacleParameters, dict(values), f"{name}.") for name in names}
 
@@ -170,7 +170,7 @@ def _solid(name: str, description: sections.ObstacleParameters, content: bytes) 
 
 @lru_cache(maxsize=128)
 def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
-    """Parse the content of an obstacle's mesh file.
+    """Parse the content of an obstacle's mesh file as the closed mesh of a solid [m].
 
     Args:
         content: content of the file.

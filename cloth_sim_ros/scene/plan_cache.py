@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class PlanCache:
-    """Keeps the plan of the scene in force, and compiles a new one only if a change requires it.
+    """Plan of the scene in force; another is compiled only if a change requires it.
 
     The plan is reused as long as springs, hinges, panels, masses and anchors stay. Gravity, drag and wind, which act on
     all particles alike, are updated in place.

@@ -45,7 +45,7 @@ def implausible_sizes(scene: Scene, x: Array, masses: Array) -> list[str]:
     extent, mass = _extent(x.T), ordered_sum(masses.tolist())
     if not EXTENTS[0] <= extent <= EXTENTS[1]:
         if cloth.mesh:
-            remedy = f"if its file is not in metres, set cloth.scale ({_factor(extent)})"
+            remedy = f"if its file is not in metres, set cloth.scale ({_scale_hint(extent)})"
         else:
             remedy = f"look at {'the file of cloth.springs' if cloth.springs else 'cloth.size'}, which is in metres"
         sentences.append(
@@ -89,7 +89,8 @@ def _obstacle_sizes(scene: Scene) -> list[str]:
         if not OBSTACLE_EXTENTS[0] <= extent <= OBSTACLE_EXTENTS[1]:
             sentences.append(
                 f"obstacle '{solid.name}' has an extent of {extent:.3g} m, beyond the usual {OBSTACLE_EXTENTS[0]:g} to "
-                f"{OBSTACLE_EXTENTS[1]:g} m: if its file is not in metres, set {solid.name}.scale ({_factor(extent)})"
+                f"{OBSTACLE_EXTENTS[1]:g} m: if its file is not in metres, set {solid.name}.scale "
+                f"({_scale_hint(extent)})"
             )
     return sentences
 
@@ -100,6 +101,6 @@ def _extent(points: NDArray[np.float64]) -> float:
     return math.sqrt(x * x + y * y + z * z)
 
 
-def _factor(extent: float) -> str:
+def _scale_hint(extent: float) -> str:
     """Return, for a message, an example of the scale that corrects an implausible extent [m]."""
     return "0.001 for millimetres" if extent > 1.0 else "e.g. 1000"

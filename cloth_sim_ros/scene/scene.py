@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.integrators.base import TOLERANCE, Integrator
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
-from cloth_sim_ros.physics.model.sheets.material import Threads
+from cloth_sim_ros.physics.model.sheets.material import ThreadStiffness
 from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
@@ -227,9 +227,9 @@ class Scene:
             individual: full names of single grippers' parameters.
             cameras: names of cameras.
         """
-        entries = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
-        entries += [entry for name in cameras for entry in scene_cameras.declared(name)]
-        return (*parameters.declared(cls), *entries, *map(gripper_parameters.declared, individual))
+        entries = [entry for name in obstacles for entry in scene_obstacles.declarations(name)]
+        entries += [entry for name in cameras for entry in scene_cameras.declarations(name)]
+        return (*parameters.declarations(cls), *entries, *map(gripper_parameters.declaration, individual))
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
@@ -238,9 +238,9 @@ class Scene:
         If `names` are values by full name, they include those of the cameras in `cameras`.
         """
         full_names = list(names)
-        described = scene_obstacles.described(full_names, cls.groups())
-        cameras = scene_cameras.named(names, cls.groups())
-        individual = gripper_parameters.individual(full_names, cls.groups(), [*described, *cameras])
+        described = scene_obstacles.described_obstacles(full_names, cls.groups())
+        cameras = scene_cameras.camera_names(names, cls.groups())
+        individual = gripper_parameters.individual_names(full_names, cls.groups(), [*described, *cameras])
         return cls.declared(described, individual, cameras)
 
     @property
@@ -268,7 +268,10 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, an invalid value, or a file that can't be read.
         """
-        names, cameras = scene_obstacles.described(values, cls.groups()), scene_cameras.named(values, cls.groups())
+        names, cameras = (
+            scene_obstacles.described_obstacles(values, cls.groups()),
+            scene_cameras.camera_names(values, cls.groups()),
+        )
         fabric_values, fabric_files = fabrics.fabric_parameters(values, files or {}, folder)
         checked = parameters.check(
             cls.declared_for(values),
@@ -276,10 +279,12 @@ class Scene:
             hint=lambda name: scene_obstacles.hint(name, cls.groups()) or scene_cameras.hint(name, cls.groups()),
         )
         content = scene_files.read(checked, {**(files or {}), **fabric_files}, folder)
-        described = scene_obstacles.read(checked, names)
+        described = scene_obstacles.build_descriptions(checked, names)
         owners = [*names, *cameras]
-        individual = {name: checked[name] for name in gripper_parameters.individual(checked, cls.groups(), owners)}
-        views = scene_cameras.read(checked, cameras)
+        individual = {
+            name: checked[name] for name in gripper_parameters.individual_names(checked, cls.groups(), owners)
+        }
+        views = scene_cameras.build_cameras(checked, cameras)
         scene: Scene = parameters.build(
             cls, checked, described=described, views=views, individual=individual, files=content
         )
@@ -319,12 +324,12 @@ class Scene:
         Raises:
             ParameterError: for an unknown name, a read-only parameter, or an invalid value.
         """
-        described = scene_obstacles.described([*self.parameters(), *values], self.groups())
-        individual = gripper_parameters.individual(values, self.groups(), [*described, *self.views])
+        described = scene_obstacles.described_obstacles([*self.parameters(), *values], self.groups())
+        individual = gripper_parameters.individual_names(values, self.groups(), [*described, *self.views])
         known = {entry.name: entry for entry in self.declared(individual=individual)}
         for name in values:
             if name in known and not known[name].live:
-                raise ParameterError(parameters.read_only(name))
+                raise ParameterError(parameters.read_only_message(name))
         scene_obstacles.check_meshes(values, self.parameters())
         scene = self.from_parameters({**self.parameters(), **values}, files=self.files)
         for name in self.obstacle_names:
@@ -413,7 +418,7 @@ class Scene:
         sheet = self.sheet
         return (sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else (1, len(sheet.positions()))
 
-    def threads(self) -> Threads:
+    def threads(self) -> ThreadStiffness:
         """Return the spring stiffnesses of a grid, as force per strain [N], and the resulting Poisson's ratio.
 
         Raises:
@@ -466,9 +471,9 @@ class Scene:
 
     def initial_positions(self) -> Array:
         """Return the particles' starting positions in the scene's frame [m], shape (particle_count, 3)."""
-        return self._rotated(self.sheet.positions()) + np.asarray(self.cloth.position)
+        return self._rotate(self.sheet.positions()) + np.asarray(self.cloth.position)
 
-    def _rotated(self, vectors: Array) -> Array:
+    def _rotate(self, vectors: Array) -> Array:
         """Rotate vectors (n, 3) from the sheet's axes to the world's, with a fixed order of sums."""
         rotation = rotation_matrix(normalized(self.cloth.orientation))
         x, y, z = np.asarray(vectors, dtype=np.float64).T
@@ -487,7 +492,7 @@ class Scene:
         sheet = self.sheet
         velocities = None
         if isinstance(sheet, RawSprings):
-            velocities = self._rotated(sheet.velocities)
+            velocities = self._rotate(sheet.velocities)
         return State(self.initial_positions(), velocities, cloth=topology_id(sheet))
 
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:

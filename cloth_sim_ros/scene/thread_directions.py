@@ -13,7 +13,7 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 _ALIGNED_SINE = 1e-9
 
 
-class ScenesMaterial(Protocol):
+class MaterialScene(Protocol):
     """Protocol of a `Scene` for moduli of warp and weft: parameters of material and bending."""
 
     @property
@@ -23,19 +23,19 @@ class ScenesMaterial(Protocol):
     def bending(self) -> sections.BendingParameters: ...
 
 
-def stretch_moduli(scene: ScenesMaterial) -> tuple[float, float]:
+def stretch_moduli(scene: MaterialScene) -> tuple[float, float]:
     """Return Young's moduli along warp and weft [N/m]."""
     material = scene.material
     return material.stretch_modulus, material.stretch_modulus_weft or material.stretch_modulus
 
 
-def bending_moduli(scene: ScenesMaterial) -> tuple[float, float]:
+def bending_moduli(scene: MaterialScene) -> tuple[float, float]:
     """Return the bending moduli along warp and weft [N m]."""
     material = scene.material
     return material.bending_modulus, material.bending_modulus_weft or material.bending_modulus
 
 
-def axial_stiffness(scene: ScenesMaterial) -> tuple[float, float]:
+def axial_stiffness(scene: MaterialScene) -> tuple[float, float]:
     """Return the stiffness of axial bending springs along warp and weft [N/m]; 0 for other models of bending."""
     bending = scene.bending
     if bending.model != "axial":
@@ -43,13 +43,13 @@ def axial_stiffness(scene: ScenesMaterial) -> tuple[float, float]:
     return bending.stiffness, bending.stiffness_weft or bending.stiffness
 
 
-def is_oblique(scene: ScenesMaterial) -> bool:
+def is_oblique(scene: MaterialScene) -> bool:
     """Return True if the warp is along neither rows nor columns of a grid."""
     x, y, _ = map(abs, scene.material.warp_direction)
     return min(x, y) > _ALIGNED_SINE * max(x, y)
 
 
-def along_grid(scene: ScenesMaterial, warp_and_weft: tuple[float, float], names: str) -> tuple[float, float]:
+def along_grid(scene: MaterialScene, warp_and_weft: tuple[float, float], names: str) -> tuple[float, float]:
     """Convert a quantity along warp and weft to one along rows and columns of a grid.
 
     Args:

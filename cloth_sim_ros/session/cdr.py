@@ -139,7 +139,7 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
     point_step, row_step = reader.numbers("II")
     (size,) = reader.numbers("I")
     start = reader.skip(size)
-    if not _evenly_spaced(fields, _POSITION):
+    if not _are_evenly_spaced(fields, _POSITION):
         raise SessionError("a cloud has no evenly spaced fields x, y, z of one type, float32 or float64")
     end = max(offset + length for offset, length in fields.values())
     if height * row_step > size or width * point_step > row_step or end > point_step:
@@ -163,12 +163,12 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
         height=height,
         width=width,
         xyz=view(*_POSITION),
-        velocity=view(*_VELOCITY) if _evenly_spaced(fields, _VELOCITY) else None,
+        velocity=view(*_VELOCITY) if _are_evenly_spaced(fields, _VELOCITY) else None,
         deviation=view(_DEVIATION)[:, 0] if _DEVIATION in fields else None,
     )
 
 
-def _evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, str, str]) -> bool:
+def _are_evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, str, str]) -> bool:
     """Return True if three fields have one length and equal spacing. `fields`: offset and length [bytes] by name."""
     if not fields.keys() >= set(names):
         return False

@@ -148,10 +148,10 @@ def check_data_end(file: BinaryIO, location: RecordLocation) -> None:
         raise DamagedRecordError("the data section fails its checksum: a message outside of chunks may be damaged")
 
 
-def check_stripped(
+def check_not_stripped(
     path: Path, metadata: Mapping[str, str], attachments: Container[str], channels: Mapping[str, str]
 ) -> None:
-    """Refuse a copy of a session from which a tool left out the opening.
+    """Refuse a bag of another recorder, and a copy of a session from which a tool left out the opening.
 
     Args:
         path: the file.

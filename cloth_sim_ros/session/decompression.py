@@ -21,7 +21,7 @@ _LZ4_INPUT_BYTES, _LZ4_OUTPUT_BYTES = 1 << 20, 8 << 20
 
 
 class DecompressionError(ValueError):
-    """Compressed bytes that do not unpack to their announced size, or announce too much."""
+    """Error: compressed bytes do not unpack to their announced size, or announce too much."""
 
 
 def decompress(payload: bytes, compression: str, size: int) -> bytes:

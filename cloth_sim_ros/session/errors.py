@@ -4,20 +4,20 @@
 
 
 class SessionError(Exception):
-    """A session cannot be written or read. The message is one sentence for the command line."""
+    """Error: a session cannot be written or read. The message is one sentence for the command line."""
 
 
 class NotASessionError(SessionError):
-    """The file is readable, but it is not a recorded cloth session."""
+    """Error: the file is readable, but it is not a recorded cloth session."""
 
 
 class DamagedSessionError(SessionError):
-    """Bytes of the file fail their checksum or do not parse. Only strict reading raises this for messages."""
+    """Error: bytes of the file fail their checksum or do not parse. Only strict reading raises it for messages."""
 
 
 class StrippedSessionError(DamagedSessionError):
-    """A tool copied the session's messages without the scene and the state of its opening."""
+    """Error: a tool copied the session's messages without the scene and the state of its opening."""
 
 
 class RecordingError(SessionError):
-    """A recording cannot be started or continued."""
+    """Error: a recording cannot be started or continued."""

@@ -64,7 +64,7 @@ class SessionSummary:
 
 
 class Summarizer:
-    """Builds a `SessionSummary` from a session's messages, one by one."""
+    """Builder of a `SessionSummary` from a session's messages, one by one."""
 
     def __init__(self, node: str) -> None:
         self.summary = SessionSummary()

@@ -113,7 +113,7 @@ class PackedChunk:
 
 
 class McapBuilder:
-    """Encodes the records of one MCAP file, in order, and collects its indexes.
+    """Encoder of the records of one MCAP file, in order, with its indexes.
 
     The caller writes the bytes from `encode_opening`, `pack_chunk`, `encode_metadata` and `encode_closing`. It calls
     `commit` when a chunk is in the file. The builder touches no file.

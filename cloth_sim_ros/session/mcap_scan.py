@@ -52,7 +52,7 @@ _Record = TypeVar("_Record", bound=McapRecord)
 
 
 class DamagedRecordError(SessionError):
-    """A record's bytes do not parse or fail their checksum."""
+    """Error: a record's bytes do not parse or fail their checksum."""
 
 
 class RawMessage(NamedTuple):
@@ -128,7 +128,7 @@ def locate_record(file: BinaryIO, offset: int) -> RecordLocation | None:
 
 
 class ChunkSearch:
-    """Finds the next intact chunk after a damaged record.
+    """Search for the next intact chunk after a damaged record.
 
     The length of a damaged record does not lead to the next one. Therefore each byte sequence that resembles a chunk
     header is tried. The total work is limited, because a file may consist of such headers.

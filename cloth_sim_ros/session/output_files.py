@@ -22,7 +22,7 @@ _MAX_NAME_PREFIX = 40
 
 
 class OutputError(SessionError):
-    """The requested output cannot be written. The message is one sentence for the command line."""
+    """Error: the requested output cannot be written. The message is one sentence for the command line."""
 
 
 def check_outputs(

@@ -16,7 +16,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from cloth_sim_ros.session.data_section import (
     check_data_end,
-    check_stripped,
+    check_not_stripped,
     content_records,
     has_content_index,
     is_fully_indexed,
@@ -105,7 +105,7 @@ class SessionPart:
             self._read_summary()
             self._read_contents()
             if not self.metadata or not self.attachments.keys() >= _REQUIRED_ATTACHMENTS:
-                check_stripped(self.path, self.metadata, self.attachments, self._read_channels())
+                check_not_stripped(self.path, self.metadata, self.attachments, self._read_channels())
             check_contents(self.path, self.metadata, self.attachments)
         except BaseException:
             self._file.close()

@@ -32,7 +32,7 @@ class RecordedCloud:
 
 
 class SessionReader:
-    """Reads a session as a stream, with one chunk in memory at a time.
+    """Reader of a session as a stream, with one chunk in memory at a time.
 
     Messages come in the order of recording. Damaged chunks are skipped and reported in `missing`, or raised as
     DamagedSessionError if `strict`. No message of a chunk with a wrong checksum is returned.

@@ -71,7 +71,7 @@ def session_stem(name: str, start: datetime.datetime) -> str:
 
 
 class Recorder:
-    """Records a session from any thread without blocking: `record` and `split` only append to a queue.
+    """Recorder of a session from any thread without blocking: `record` and `split` only append to a queue.
 
     The recorder's thread does all disk work, including the creation of the file. If the disk is too slow, droppable
     messages are dropped and counted; the others are queued in at most ``backlog_bytes`` of memory. A disk error ends

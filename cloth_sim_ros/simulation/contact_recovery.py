@@ -87,7 +87,7 @@ def reduce_contacts(
     gaps[~is_affected] = np.inf
     if subject:
         try:
-            check_gaps(gaps, thickness, _names(contact.force))
+            check_gaps(gaps, thickness, _body_names(contact.force))
         except ValueError as error:
             raise EventError(f"{subject} {error}") from error
     reduced = reduced_thickness(gaps, thickness)
@@ -137,7 +137,7 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
         return None
     thickness = contact.force.thickness
     is_reduced = reduced < thickness
-    names = [*_names(contact.force), ""]
+    names = [*_body_names(contact.force), ""]
     in_contact = tuple(name for name, row in zip(names, is_reduced, strict=True) if row.any())
     particles = int(np.count_nonzero(is_reduced[:, :-1].any(axis=0)))
     lift, duration = thickness - float(reduced.min()), recovery_time(reduced, thickness)
@@ -147,7 +147,7 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
 def pad_rows(plan: Plan, gripper: str) -> NDArray[np.bool_]:
     """Return a mask of a gripper's pads among obstacles, pads and, last, the cloth itself."""
     assert plan.contact is not None
-    return np.array([*(name.rpartition(".")[0] == gripper for name in _names(plan.contact.force)), False])
+    return np.array([*(name.rpartition(".")[0] == gripper for name in _body_names(plan.contact.force)), False])
 
 
 def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
@@ -181,7 +181,7 @@ def particles_in_contact(plan: Plan, state: State, t: float, rows: Sequence[bool
     return np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0))
 
 
-def _names(force: Contact) -> list[str]:
+def _body_names(force: Contact) -> list[str]:
     """Return the names of obstacles, followed by those of pads."""
     return [obstacle.name for obstacle in force.obstacles]
 

@@ -45,7 +45,7 @@ SavedBalance: TypeAlias = tuple[tuple[float, float], EnergyReport]
 
 
 class EnergyWatch:
-    """Sums up the energy balance over frames. Changes by events between two frames are left out.
+    """Sums of the energy balance over frames. Changes by events between two frames are left out.
 
     Args:
         plan: the equations of motion of the simulation.
@@ -80,7 +80,7 @@ class EnergyWatch:
         )
         return self._sums
 
-    def stop(self, end_state: State) -> EnergyReport:
+    def add_sleep_loss(self, end_state: State) -> EnergyReport:
         """Add the kinetic energy that the cloth loses when it falls asleep, as dissipated, and return the sums.
 
         Args:

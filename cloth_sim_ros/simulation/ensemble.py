@@ -24,7 +24,7 @@ from cloth_sim_ros.simulation.thread_pool import ThreadPool
 
 
 class EnsembleError(ValueError):
-    """A member of an ensemble that cannot go on; the message names it and its parameters."""
+    """Error: a member of an ensemble cannot go on; the message names it and its parameters."""
 
 
 @attrs.frozen(kw_only=True, eq=False)

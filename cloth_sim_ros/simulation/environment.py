@@ -29,7 +29,7 @@ def environment() -> dict[str, str]:
     return {
         "version": __version__,
         "numerics": str(NUMERICS),
-        "source": _source(),
+        "source": _source_digest(),
         "instructions": engine_name(),
         "python": platform.python_version(),
         "numpy": _numpy_version(),
@@ -43,7 +43,7 @@ def differences(recorded: Mapping[str, str]) -> list[str]:
 
     Each difference reads like ``its code 193821 -> 2c46fa``. Entries that the session lacks are not compared.
     """
-    present = {"source": _source()}
+    present = {"source": _source_digest()}
     return [
         f"{name} {recorded[key]} -> {present[key]}"
         for key, name in _REPRODUCIBILITY_KEYS.items()
@@ -61,7 +61,7 @@ def recorder_with_other_arithmetic(recorded: Mapping[str, str]) -> str:
 
 
 @functools.cache
-def _source() -> str:
+def _source_digest() -> str:
     """Return the digest of the code that determines a run's bits.
 
     The version alone does not identify code between releases.

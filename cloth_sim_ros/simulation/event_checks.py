@@ -44,7 +44,7 @@ _GRIPPER_EVENTS = (Target, Grasp)
 
 
 class EventError(ValueError):
-    """An event that can't take effect; the message gives the reason."""
+    """Error: an event can't take effect; the message gives the reason."""
 
 
 def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> list[Event]:
@@ -114,7 +114,7 @@ def _check_grasp(event: Grasp, scene: Scene, state: State) -> None:
     if opening is not None and JAWS_KEY in state.memory:
         k, thickness = scene.pinching.index(name), scene.contact.thickness
         half_opening = float(state.memory[JAWS_KEY][k, 0])
-        inner, outer = pads_of(scene, 1.0)[k].stops(event.closed, 0.5 * opening, thickness)
+        inner, outer = pads_of(scene, 1.0)[k].half_opening_range(event.closed, 0.5 * opening, thickness)
         if _stop_clearance(half_opening, inner, outer, thickness) < _MIN_STOP_CLEARANCE * thickness:
             command, remedy = ("close", "open") if event.closed else ("open", "close")
             raise EventError(
@@ -207,7 +207,7 @@ def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
     indices = [scene.gripper_names.index(name) for name in scene.pinching]
     drives = zip(memory[JAWS_KEY].tolist(), memory["gripper.closed"][indices].tolist(), setpoints, strict=True)
     for pads, ((half_opening, _), closed, setpoint) in zip(pads_of(new_scene, 1.0), drives, strict=True):
-        inner, outer = pads.stops(bool(closed), setpoint, thickness)
+        inner, outer = pads.half_opening_range(bool(closed), setpoint, thickness)
         clearance = _stop_clearance(half_opening, inner, outer, thickness)
         if clearance < _MIN_STOP_CLEARANCE * thickness:
             raise EventError(
@@ -218,7 +218,7 @@ def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
 
 
 def _stop_clearance(half_opening: float, inner: float, outer: float, thickness: float) -> float:
-    """Return the smaller gap [m] of a half opening [m] to the stops, see `ParallelJaw.stops`."""
+    """Return the smaller gap [m] of a half opening [m] to the stops, see `ParallelJaw.half_opening_range`."""
     return min(half_opening - inner + 0.75 * thickness, outer + thickness - half_opening)
 
 

@@ -19,7 +19,7 @@ def _floats(value: Any) -> Vector:
 
 @attrs.frozen
 class Target:
-    """Commands a gripper to a pose by the end of the frame; without orientation the present target's is kept."""
+    """Command of a gripper to a pose by the end of the frame; without orientation the present target's is kept."""
 
     gripper: str
     #: Position [m], 3 numbers.
@@ -30,7 +30,7 @@ class Target:
 
 @attrs.frozen
 class Move:
-    """Commands an obstacle to a pose; without orientation the present target's is kept."""
+    """Command of an obstacle to a pose; without orientation the present target's is kept."""
 
     obstacle: str
     #: Position [m], 3 numbers.
@@ -51,7 +51,7 @@ def _pose_rows(value: Any) -> NDArray[np.float64]:
 
 @attrs.frozen
 class MoveObstacles:
-    """Commands several obstacles to poses, as a `Move` for each does, at the cost of one event."""
+    """Command of several obstacles to poses, as a `Move` for each, at the cost of one event."""
 
     obstacles: tuple[str, ...] = attrs.field(converter=_names)
     #: Position [m] and unit quaternion x, y, z, w of each obstacle, shape (count, 7).
@@ -60,7 +60,7 @@ class MoveObstacles:
 
 @attrs.frozen
 class Grasp:
-    """Closes or opens a gripper. The other fields are for pads."""
+    """Command that closes or opens a gripper. The other fields are for pads."""
 
     gripper: str
     #: Any truth value, numpy's included.
@@ -74,31 +74,31 @@ class Grasp:
 
 @attrs.frozen
 class SetParameters:
-    """Sets scene parameters, values by full name such as `air.drag`."""
+    """Change of scene parameters, values by full name such as `air.drag`."""
 
     values: dict[str, Any]
 
 
 @attrs.frozen
 class Pause:
-    """Stops time (True) or resumes it (False)."""
+    """Stop of simulated time (True), or its resumption (False)."""
 
     paused: bool
 
 
 @attrs.frozen
 class Step:
-    """Advances one frame although paused."""
+    """Advance by one frame although the simulation is paused."""
 
 
 @attrs.frozen
 class Reset:
-    """Restores the initial state of cloth, grippers and obstacles; the frame index continues."""
+    """Return of cloth, grippers and obstacles to the initial state; the frame index continues."""
 
 
 @attrs.frozen
 class Relax:
-    """Sets the factor on the scene's tolerance until the next such event; 1 restores the scene's own."""
+    """Factor on the scene's tolerance until the next such event; 1 restores the scene's own."""
 
     #: From 1 to `relaxation.MAX_FACTOR`.
     factor: float = attrs.field(converter=float)

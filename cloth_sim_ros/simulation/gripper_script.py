@@ -31,7 +31,7 @@ INTERPOLATIONS = MINIMUM_JERK, LINEAR = ("minimum_jerk", "linear")
 
 
 class ScriptError(ValueError):
-    """A script that can't be played; the message gives the reason."""
+    """Error: a script can't be played; the message gives the reason."""
 
 
 @attrs.frozen(kw_only=True)

@@ -80,7 +80,7 @@ def apply_grasp(
         result = grippers.open(event.gripper)
     reset_step_control(state)
     if result.pending and pinching is not None:
-        pinching.await_rest(event.gripper)
+        pinching.request_rest_result(event.gripper)
     if result.grasped_count != grasped_before or is_pinching:
         wake(state)
     return result

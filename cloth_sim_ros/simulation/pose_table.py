@@ -24,7 +24,7 @@ _FLAGS = {"0": False, "1": True, "false": False, "true": True}
 
 
 class PoseTableError(ValueError):
-    """A table that can't be read; the message gives the reason."""
+    """Error: a table of poses can't be read; the message gives the reason."""
 
 
 @attrs.frozen(kw_only=True)

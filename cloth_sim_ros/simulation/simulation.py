@@ -303,7 +303,7 @@ class Simulation(ExclusiveAccess):
         recovery = contact_recovery(self.plan, self.state) if may_reduce else None
         is_moved = is_stepped or not self.paused
         done = self._advance_time() if is_moved else None
-        pinches = self.pinching.report_rested(self.plan, self.time) if is_moved and self.pinching is not None else []
+        pinches = self.pinching.rest_results(self.plan, self.time) if is_moved and self.pinching is not None else []
         stopped = self._stopped if is_moved else ()
         is_lagging = is_moved and (stopped or self.grippers.speed_limited)
         sums = self._accumulator if is_moved else None
@@ -366,7 +366,7 @@ class Simulation(ExclusiveAccess):
         done: Advance | None = None
         self._stopped: tuple[str, ...] = ()
         if is_asleep(state) and self._is_rest_verified and self._is_at_rest and self.frame < sleeps_until(state):
-            done = self._sleep.frame(self._integrator.name)
+            done = self._sleep.sleeping_advance(self._integrator.name)
         else:
             before = None if self.plan.contact is None else state.shallow_copy()
             self._plan_paths(start)
@@ -377,7 +377,7 @@ class Simulation(ExclusiveAccess):
                 self._stopped = tuple(self.grippers.hold_position(blocked))
                 self._plan_paths(start)
             if is_asleep(state) and self._may_stay_asleep(start):
-                done = self._sleep.frame(self._integrator.name)
+                done = self._sleep.sleeping_advance(self._integrator.name)
         if done is None:
             self._is_rest_verified = False
             if self._energy_watch is not None:
@@ -399,7 +399,7 @@ class Simulation(ExclusiveAccess):
             state_before_sleep = None if self._energy_watch is None else state.shallow_copy()
             falls_asleep = self._sleep.update(state, start + period)
             if falls_asleep and self._energy_watch is not None and state_before_sleep is not None:
-                self.energy_report = self._energy_watch.stop(state_before_sleep)
+                self.energy_report = self._energy_watch.add_sleep_loss(state_before_sleep)
         state.frame += 1
         #: Controls of the last frame.
         self.frame_controls = self.plan.controls
@@ -413,7 +413,7 @@ class Simulation(ExclusiveAccess):
 
     def _plan_paths(self, t: float) -> None:
         """Plan the paths of grippers and obstacles over the frame that starts at time t [s]."""
-        self.plan.controls, change = bodies.plan_controls(
+        self.plan.controls, change = bodies.move_bodies(
             self.plan, self._scene, self.obstacles, self.pinching, self.grippers, self.joints, t
         )
         recoveries.begin_recovery(self.plan, self.state, t, self._period)
@@ -487,7 +487,7 @@ class Simulation(ExclusiveAccess):
         return not step or step <= self._integrator.step_limit(*self.plan.spectral_bounds(self.state.x))
 
     def _apply_tolerance(self) -> None:
-        """Set the tolerance in force for integrator and sleep: the scene's times the state's relaxation factor."""
+        """Build integrator and sleep rule for the tolerance in force: the scene's times the relaxation factor."""
         scene, self._relaxation_factor = self._scene, relaxation.factor_of(self.state)
         self._integrator = scene.build_integrator(factor=self._relaxation_factor)
         #: Tolerance in force [m]; None if the step is fixed or no tolerance is set.

@@ -155,7 +155,7 @@ class SleepRule:
             return False
         return True
 
-    def frame(self, integrator: str) -> Advance:
+    def sleeping_advance(self, integrator: str) -> Advance:
         """Return the summary of a frame that a sleeping sheet does not compute."""
         error = self._max_drift * self._period / CONSTANTS.sleep_quiet_time
         reason = f"asleep: at rest within the tolerance {self._tolerance:g} m until something touches the cloth"

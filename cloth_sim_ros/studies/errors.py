@@ -15,15 +15,15 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class StudyError(ValueError):
-    """A study description is invalid, or a folder does not hold the study."""
+    """Error: a study description is invalid, or a folder does not hold the study."""
 
 
 class StoppedError(RuntimeError):
-    """A study stopped before its end; finished runs are kept."""
+    """Error: a study stopped before its end; finished runs are kept."""
 
 
 class FolderError(StoppedError):
-    """A study's folder can't be written, for a reason independent of the runs."""
+    """Error: a study's folder can't be written, for a reason independent of the runs."""
 
 
 def folder_error(folder: Path, error: OSError) -> FolderError:

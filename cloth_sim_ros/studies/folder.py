@@ -95,7 +95,7 @@ class StudyFolder:
             StudyError: if the folder holds another study or other files.
             FolderError: if the folder can't be written.
         """
-        content = self.fingerprint(study)
+        content = self.canonical_text(study)
         if self.study_file.is_file():
             self.check_same(study)
             return
@@ -118,14 +118,14 @@ class StudyFolder:
         Raises:
             StudyError: if the studies differ; the text names the differences.
         """
-        stored, requested = self._read_json(self.study_file, dict), json.loads(self.fingerprint(study))
+        stored, requested = self._read_json(self.study_file, dict), json.loads(self.canonical_text(study))
         differing = [name for name in requested if stored.get(name) != requested[name]]
         if differing:
             names = ", ".join(differing)
             raise StudyError(f"{self.path} holds another study: it differs in {names}; choose another folder")
 
     @staticmethod
-    def fingerprint(study: Study) -> str:
+    def canonical_text(study: Study) -> str:
         """Return the study's exact text; two studies are the same if their texts are."""
         return study.to_json({name: _content_name(data) for name, data in study.files.items()})
 

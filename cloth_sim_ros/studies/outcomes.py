@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class OutcomeError(RuntimeError):
-    """A user's outcome function failed; the message gives the cause."""
+    """Error: a user's outcome function failed; the message gives the cause."""
 
 
 #: Built-in outcomes of every run, with descriptions.
@@ -41,7 +41,7 @@ OF_ENSEMBLE = {
 
 
 class OutcomeRecorder:
-    """Records the frames of a run and computes its outcomes: numbers such as the mean height.
+    """Recorder of a run's frames, from which it computes outcomes: numbers such as the mean height.
 
     Args:
         simulation: the simulation, at its start.

@@ -51,7 +51,7 @@ class _PendingFrame(NamedTuple):
 
 
 class RunRecording:
-    """Writes the frames of a study's run into one session file; methods may raise OSError.
+    """Session file with the frames of a study's run; methods may raise OSError.
 
     Args:
         folder: folder of this run alone; the caller moves the complete file.

@@ -25,7 +25,7 @@ from cloth_sim_ros.session import plain_json
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 from cloth_sim_ros.studies.errors import StudyError
 from cloth_sim_ros.studies.factors import Factor
-from cloth_sim_ros.studies.user_code import Source
+from cloth_sim_ros.studies.user_code import FunctionSource
 
 VERSION = 1
 #: First part of the names of factors that move a script's targets, and of a policy's values.
@@ -45,9 +45,9 @@ class Study:
     #: Scripted grasps, one for each gripper.
     scripts: tuple[GripperScript, ...]
     #: Policy that replaces scripts, or None.
-    policy: Source | None
+    policy: FunctionSource | None
     #: Outcome functions of the user.
-    outcomes: tuple[Source, ...]
+    outcomes: tuple[FunctionSource, ...]
     #: Simulated time of each run [s].
     duration: float
     factors: tuple[Factor, ...]
@@ -74,8 +74,8 @@ class Study:
         content["parameters"] = _tuples(content["parameters"])
         content["files"] = dict(files)
         content["scripts"] = tuple(_script(entry) for entry in content["scripts"])
-        content["policy"] = Source(**content["policy"]) if content["policy"] else None
-        content["outcomes"] = tuple(Source(**entry) for entry in content["outcomes"])
+        content["policy"] = FunctionSource(**content["policy"]) if content["policy"] else None
+        content["outcomes"] = tuple(FunctionSource(**entry) for entry in content["outcomes"])
         factors = [{**entry, "values": tuple(map(_tuple, entry["values"]))} for entry in content["factors"]]
         content["factors"] = tuple(Factor(**entry) for entry in factors)
         return cls(**content)

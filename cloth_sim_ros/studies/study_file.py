@@ -22,7 +22,7 @@ from cloth_sim_ros.studies.errors import StudyError
 from cloth_sim_ros.studies.factors import Factor
 from cloth_sim_ros.studies.sampling import SAMPLINGS, grid_size
 from cloth_sim_ros.studies.study import POLICY, TARGET, Study, parse_target
-from cloth_sim_ros.studies.user_code import Source, load_function, read_source
+from cloth_sim_ros.studies.user_code import FunctionSource, load_function, read_source
 
 #: Entries of a study, with descriptions.
 ENTRIES = {
@@ -166,7 +166,7 @@ def _scripts(value: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...
     return scripts
 
 
-def _policy(reference: Any, scripts: Sequence[GripperScript], folder: Path) -> Source | None:
+def _policy(reference: Any, scripts: Sequence[GripperScript], folder: Path) -> FunctionSource | None:
     if reference is None:
         return None
     if scripts:
@@ -176,7 +176,7 @@ def _policy(reference: Any, scripts: Sequence[GripperScript], folder: Path) -> S
     return source
 
 
-def _outcomes(references: Any, folder: Path) -> tuple[Source, ...]:
+def _outcomes(references: Any, folder: Path) -> tuple[FunctionSource, ...]:
     names = [references] if isinstance(references, str) else references or []
     if not isinstance(names, list):
         raise StudyError(f"outcomes is {references!r}; it must be a list of file.py:name or module:name")

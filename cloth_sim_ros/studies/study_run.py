@@ -38,7 +38,7 @@ _COMMANDS = (Target, Move, Grasp, SetParameters)
 
 
 class RunError(RuntimeError):
-    """A run failed by its own fault; the message gives the cause."""
+    """Error: a run failed by its own fault; the message gives the cause."""
 
 
 def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> list[int]:

@@ -44,7 +44,7 @@ class _SchedulerGoneError(RuntimeError):
 
 @attrs.define
 class StudyRunner:
-    """Executes the unfinished runs of a study on a Dask cluster.
+    """Execution of a study's unfinished runs on a Dask cluster.
 
     Args:
         study_folder: the study's folder.

@@ -90,7 +90,7 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
 
 
 class _TrajectoryRecorder:
-    """Records the states, actions and wrenches of a simulation as a trajectory."""
+    """Recorder of the states, actions and wrenches of a simulation as a trajectory."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation

@@ -27,7 +27,7 @@ USER_ERRORS = (Exception, SystemExit)
 
 
 @attrs.frozen(kw_only=True)
-class Source:
+class FunctionSource:
     """Reference to a user's function, and the text of its file."""
 
     #: Reference in the study, ``file.py:name`` or ``module:name``.
@@ -73,7 +73,7 @@ class Finished:
     values: dict[str, Any]
 
 
-def read_source(reference: Any, role: str, folder: Path) -> Source:
+def read_source(reference: Any, role: str, folder: Path) -> FunctionSource:
     """Return the source of a user's function that a study names.
 
     Args:
@@ -88,15 +88,15 @@ def read_source(reference: Any, role: str, folder: Path) -> Source:
     if not location or not name.isidentifier():
         raise StudyError(f"{role} is {reference!r}; give file.py:name or package.module:name")
     if not location.endswith(".py"):
-        return Source(reference=reference)
+        return FunctionSource(reference=reference)
     try:
         text = input_file.read_text(folder / location)
     except (OSError, ValueError) as error:
         raise StudyError(f"{role}: cannot read '{folder / location}': {error}") from error
-    return Source(reference=reference, text=text)
+    return FunctionSource(reference=reference, text=text)
 
 
-def load_function(source: Source, role: str) -> Callable[..., Any]:
+def load_function(source: FunctionSource, role: str) -> Callable[..., Any]:
     """Import and return a user's function or class.
 
     Args:

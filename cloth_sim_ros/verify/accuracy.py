@@ -98,20 +98,20 @@ class _Certifier:
         #: window [m].
         self._deviation = self._start_deviation = 0.0
 
-    def frame(
+    def on_frame(
         self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
     ) -> None:
-        """Store a frame of the re-run, to be assessed by `close`."""
+        """Store a frame of the re-run, to be assessed by `on_frame_end`."""
         self._frame = self._capture.capture(simulation, scene_before, before, frame)
         self._is_reproduced = record.digest == simulation.state.digest()
         self._recorded, self._is_altered = None, False
 
-    def cloud(self, recorded: NDArray[np.floating], is_same: bool) -> None:
+    def on_cloud(self, recorded: NDArray[np.floating], is_same: bool) -> None:
         """Store the frame's recorded positions (n, 3) [m]; `is_same`: they equal those of the re-run."""
         self._recorded = recorded
         self._is_altered = not is_same and self._is_reproduced
 
-    def close(self) -> None:
+    def on_frame_end(self) -> None:
         """Assess the stored frame against the reference solution, after all its messages."""
         frame, self._frame = self._frame, None
         self.certificate.altered += self._is_altered

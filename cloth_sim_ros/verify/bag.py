@@ -266,7 +266,7 @@ class _BagRun:
             if len(self._topologies) > _MAX_SNAPSHOTS:
                 self._skip_topology(self._topologies.pop(0))
         else:
-            self._findings.not_compared(topic, "a bag does not hold its frame")
+            self._findings.count_not_compared(topic, "a bag does not hold its frame")
 
     def end(self) -> Verdict:
         """Run the last frames, report the messages that no frame needed, and return the verdict."""
@@ -276,21 +276,21 @@ class _BagRun:
         self._compare_due_snapshot()
         self._compare_topologies(is_last=True)
         if self._snapshots:
-            findings.not_compared(self._snapshot_topic, "of no frame that was run", len(self._snapshots))
+            findings.count_not_compared(self._snapshot_topic, "of no frame that was run", len(self._snapshots))
         for stamp in list(self._outputs):
             while stamp in self._outputs:
                 self._skip_outputs(stamp, self._take_outputs(stamp))
         if not self._has_clouds:
-            findings.absent(self._points)
+            findings.add_absent(self._points)
         elif self._missing_clouds:
-            findings.missing(f"{pluralize(self._missing_clouds, 'message')} of {self._points}")
+            findings.add_deficit(f"{pluralize(self._missing_clouds, 'message')} of {self._points}")
             # Clouds are there, and not one belongs to a frame.
             verdict.damaged = verdict.damaged or not verdict.clouds
         if self._late_records:
             reason = f"came more than {_LAG} records late or with another node's of this name, and were not run"
-            findings.missing(f"{pluralize(self._late_records, 'message')} of {self._topic} {reason}")
+            findings.add_deficit(f"{pluralize(self._late_records, 'message')} of {self._topic} {reason}")
         for topic, count in self._stray.items():
-            findings.missing(f"the frames of {pluralize(count, 'message')} of {topic}, by their stamps")
+            findings.add_deficit(f"the frames of {pluralize(count, 'message')} of {topic}, by their stamps")
         verdict.damaged = bool(verdict.damaged or self._late_records or self._stray)
         verdict.seconds = time.perf_counter() - self._start_time
         return verdict
@@ -301,11 +301,11 @@ class _BagRun:
         except SessionError:
             return
         if pending.key in self._seen:
-            self._findings.not_compared(self._topic, "a second message of one frame")
+            self._findings.count_not_compared(self._topic, "a second message of one frame")
             return
         self._seen.add(pending.key)
         if pending.key <= self._last_key:
-            self._findings.not_compared(self._topic, "too late in the bag")
+            self._findings.count_not_compared(self._topic, "too late in the bag")
             self._late_records += 1
             return
         bisect.insort(self._pending, pending, key=lambda entry: entry.key)
@@ -322,10 +322,10 @@ class _BagRun:
         if key > self._last_key or key == self._next:
             self._snapshots[key] = snapshot
         else:
-            self._findings.not_compared(self._snapshot_topic, "too late in the bag")
+            self._findings.count_not_compared(self._snapshot_topic, "too late in the bag")
         if len(self._snapshots) > _MAX_SNAPSHOTS:
             del self._snapshots[max(self._snapshots)]
-            self._findings.not_compared(self._snapshot_topic, "too early in the bag")
+            self._findings.count_not_compared(self._snapshot_topic, "too early in the bag")
 
     def _add_output(self, message: Message) -> None:
         """Keep a cloud or a wrench for its frame. Above the limits, run frames sooner, and drop the oldest ones."""
@@ -347,7 +347,7 @@ class _BagRun:
         snapshot = self._snapshots.pop(key, None)
         for earlier in [earlier for earlier in self._snapshots if earlier < key]:
             del self._snapshots[earlier]
-            self._findings.not_compared(self._snapshot_topic, "of no frame that was run")
+            self._findings.count_not_compared(self._snapshot_topic, "of no frame that was run")
         if self._is_start(key):
             self._begin(key, snapshot)
         elif key != self._next:
@@ -355,9 +355,9 @@ class _BagRun:
         self._next = key.successor
         simulation, findings, frame_outputs = self._simulation, self._findings, self._take_outputs(stamp)
         if simulation is None:
-            findings.not_compared(self._topic, "without a snapshot before it")
+            findings.count_not_compared(self._topic, "without a snapshot before it")
             for topic in frame_outputs:
-                findings.not_compared(topic, "of no frame that was run")
+                findings.count_not_compared(topic, "of no frame that was run")
             return
         verdict = findings.verdict
         self._extend_part(stamp, is_first=self._is_start(key))
@@ -367,7 +367,7 @@ class _BagRun:
         try:
             frame = simulation.advance([from_dict(dict(event)) for event in record.events])
         except (ValueError, UnstableError) as error:
-            findings.difference("frame", f"it cannot be run: {error}")
+            findings.add_difference("frame", f"it cannot be run: {error}")
             self._simulation = None
             return
         verdict.simulated += simulation.time - start_time
@@ -386,7 +386,7 @@ class _BagRun:
         findings, self._simulation = self._findings, None
         if snapshot is None:
             frame = self._content.frames[key]
-            findings.missing(f"the snapshot before frame {frame} among the {_LAG} records around it")
+            findings.add_deficit(f"the snapshot before frame {frame} among the {_LAG} records around it")
             findings.verdict.damaged = True
             return
         content = snapshot.snapshot
@@ -395,7 +395,7 @@ class _BagRun:
             values = recorded_values(content.scene_yaml, node=metadata.get("node", ""))
             simulation = Simulation(Scene.from_parameters(values, files=content.files), State.from_bytes(content.state))
         except ValueError as error:
-            findings.missing(f"a snapshot holds no scene that can be run here: {error}")
+            findings.add_deficit(f"a snapshot holds no scene that can be run here: {error}")
             verdict.damaged = True
             return
         self._simulation, scene = simulation, simulation.scene
@@ -415,13 +415,13 @@ class _BagRun:
         for index, message in enumerate(waiting):
             is_due = len(self._content.sessions) == 1 or (index == len(waiting) - 1 and not is_last)
             if scene is not None and (is_due or outputs.is_topology_of(message, scene)):
-                self._findings.compared("topology")
+                self._findings.count_compared("topology")
                 outputs.compare_topology(message, scene, self._findings)
             else:
                 self._skip_topology(message)
 
     def _skip_topology(self, message: Message) -> None:
-        self._findings.not_compared(message.topic, "of no frame that was run")
+        self._findings.count_not_compared(message.topic, "of no frame that was run")
 
     def _compare_due_snapshot(self) -> None:
         """Compare the snapshot after the last frame with the re-run, unless a part of the bag begins with it."""
@@ -430,10 +430,10 @@ class _BagRun:
         snapshot = self._snapshots.pop(self._next, None)
         if snapshot is None:
             return
-        self._findings.compared("snapshot")
+        self._findings.count_compared("snapshot")
         reason, is_rounding = _snapshot_difference(snapshot, self._simulation)
         if reason:
-            self._findings.difference("snapshot", f"the snapshot behind it{reason}", rounding=is_rounding)
+            self._findings.add_difference("snapshot", f"the snapshot behind it{reason}", rounding=is_rounding)
 
     def _take_outputs(self, stamp: int) -> dict[str, Message]:
         """Remove and return, by topic, the first waiting cloud and wrenches of a stamp [ns]."""
@@ -451,13 +451,13 @@ class _BagRun:
         is_inside = stamp < 0 or any(first <= stamp <= last for first, last in self._parts)
         for topic, message in frame_outputs.items():
             if self._compared.get((stamp, topic)) == hash(message.data):
-                self._findings.not_compared(topic, "a second message of one frame")
+                self._findings.count_not_compared(topic, "a second message of one frame")
                 continue
-            self._findings.not_compared(topic, "of no frame that was run")
+            self._findings.count_not_compared(topic, "of no frame that was run")
             if is_inside and (topic == self._points or topic in self._wrench_topics):
                 self._stray[topic] += 1
 
-    def _note_compared(self, stamp: int, message: Message) -> None:
+    def _remember_compared(self, stamp: int, message: Message) -> None:
         """Remember a compared cloud or wrench of a stamp [ns], to recognize its repetition."""
         self._compared[stamp, message.topic] = hash(message.data)
         if len(self._compared) > _MAX_REPEATED:
@@ -471,17 +471,17 @@ class _BagRun:
         if cloud is None:
             self._missing_clouds += 1
         else:
-            findings.compared("cloud")
-            self._note_compared(stamp, cloud)
+            findings.count_compared("cloud")
+            self._remember_compared(stamp, cloud)
             self._clouds.compare(cloud, simulation, stamp)
         for name, wrench in outputs.wrenches(scene, frame):
             message = frame_outputs.pop(f"{self._node}/{name}/wrench", None)
             if message is not None:
-                findings.compared("wrench")
-                self._note_compared(stamp, message)
+                findings.count_compared("wrench")
+                self._remember_compared(stamp, message)
                 outputs.compare_wrench(message, wrench, frame_id=scene.frame_id, stamp=stamp, findings=findings)
         for topic in frame_outputs:
-            findings.not_compared(topic, "of no gripper or obstacle")
+            findings.count_not_compared(topic, "of no gripper or obstacle")
 
 
 def _snapshot_difference(snapshot: BagSnapshot, simulation: Simulation) -> tuple[str, bool]:

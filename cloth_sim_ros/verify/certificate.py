@@ -52,7 +52,7 @@ class FrameAccuracy:
     error: float
     """Error from the simulation's state at the window's beginning; the error bound applies to it [m]."""
     amplification: float
-    """Maximum amplification of a perturbation of position or velocity since the window's beginning."""
+    """Largest factor by which a small perturbation of position or velocity grew since the window's beginning."""
     uncertainty: float
     """Uncertainty of the certificate [m]."""
     floor: float
@@ -128,7 +128,7 @@ class AccuracyWindow:
 
     @property
     def error_bound(self) -> float:
-        """Error bound of the window, tolerance times amplification [m]; nan without a tolerance."""
+        """Error bound of the window, tolerance times max(1, amplification) [m]; nan without a tolerance."""
         if self.tolerance is None:
             return float("nan")
         return self.tolerance * max(1.0, self.amplification, self.later_amplification)

@@ -48,7 +48,7 @@ class _PendingTarget(NamedTuple):
 
 
 class CommandCheck:
-    """Compares received commands with the events of the next frames, message by message in the order of the file.
+    """Comparison of received commands with the events of the next frames, message by message in the file's order.
 
     Args:
         node: resolved name of the node.
@@ -155,7 +155,7 @@ class CommandCheck:
                 self._skip(f"{name}/grasp", "cleared when the clock went back", len(unmatched))
             elif unmatched:
                 action = "close" if unmatched[0] else "open"
-                self._findings.difference("command", f"{name} was commanded to {action}, which did not take effect")
+                self._findings.add_difference("command", f"{name} was commanded to {action}, which did not take effect")
         if is_cleared:
             for name, waiting in self._waiting.items():
                 self._drop(waiting, "cleared when the clock went back")
@@ -172,7 +172,7 @@ class CommandCheck:
         received = grasps.get(str(event.get("gripper", "")), [])
         if received and received[0] == event.get("closed"):
             received.pop(0)
-            self._findings.compared("command")
+            self._findings.count_compared("command")
         else:
             self._skip("events", "grasp without a message, by a service, an action or gripper.timeout")
 
@@ -188,11 +188,11 @@ class CommandCheck:
                 self._skip("events", f"target of {name} by a velocity")
             elif known:
                 reason = f"{name} moved to {list(event['position'])}, which was not commanded"
-                self._findings.difference("command", reason)
+                self._findings.add_difference("command", reason)
             else:
                 self._skip("events", f"{event['kind']} that may have been commanded before the recording began")
             return
-        self._findings.compared("command")
+        self._findings.count_compared("command")
         # A target with the same pose may belong to a later frame. On wall time, a frame that begins late also applies
         # targets stamped after it was due; therefore later ones may belong to this frame.
         match = max((target for target in candidates if target.stamp <= stamp), default=min(candidates))
@@ -211,7 +211,7 @@ class CommandCheck:
         self._waiting[name] = [target for target in waiting if target > max(overdue)]
         if known and not (simulation is not None and self._may_be_impossible(name, simulation)):
             position = list(overdue[-1].pose[:3])
-            self._findings.difference("command", f"{name} was commanded to {position}, which did not take effect")
+            self._findings.add_difference("command", f"{name} was commanded to {position}, which did not take effect")
         else:
             cleared = [target for target in waiting if target <= max(overdue)]
             self._drop(cleared, "cleared, or received before the recording")
@@ -250,7 +250,7 @@ class CommandCheck:
         waiting.clear()
 
     def _skip(self, topic: str, reason: str, count: int = 1) -> None:
-        self._findings.not_compared(topic, reason, count)
+        self._findings.count_not_compared(topic, reason, count)
 
 
 _FOLLOWS = "follows a TF frame"

@@ -39,7 +39,7 @@ class _TopicState:
 
 
 class CompletenessCheck:
-    """Finds missing messages of a session: by sequence numbers, log times and end records.
+    """Search for missing messages of a session: by sequence numbers, log times and end records.
 
     Args:
         findings: collects missing messages and differences.
@@ -73,13 +73,13 @@ class CompletenessCheck:
         """Return True if a message of the topic was read."""
         return topic in self._topics and self._topics[topic].count > 0
 
-    def last(self, topic: str) -> Message | None:
+    def last_message(self, topic: str) -> Message | None:
         """Return the last message of a topic; None before the first."""
         return self._topics[topic].last if topic in self._topics else None
 
     def is_repeated(self, message: Message) -> bool:
         """Return True if a message repeats the last one of its topic, as at the beginning of a split file."""
-        last = self.last(message.topic)
+        last = self.last_message(message.topic)
         if last is None or last.data != message.data:
             return False
         return last.publish_time == message.publish_time and last.sequence == message.sequence
@@ -119,23 +119,23 @@ class CompletenessCheck:
         self._may_be_incomplete |= bool(part.damage) or not notes or notes.get("reason") == "recovered"
         announced = _parse_count(notes.get("messages", ""))
         if not notes and part.at_end:
-            self._findings.missing(f"{part.path.name}: its end record, which tells how many messages it held")
+            self._findings.add_deficit(f"{part.path.name}: its end record, which tells how many messages it held")
         elif notes and announced is None:
-            self._findings.missing(f"{part.path.name}: the number of its messages in the end record")
+            self._findings.add_deficit(f"{part.path.name}: the number of its messages in the end record")
         if notes.get("reason") == "recovered":
-            self._findings.missing(f"{part.path.name}: recovered, {notes.get('missing') or 'nothing was lost'}")
+            self._findings.add_deficit(f"{part.path.name}: recovered, {notes.get('missing') or 'nothing was lost'}")
         if not whole or part.damage or announced is None or not part.at_end:
             return
         n_messages = self._counts[True]
         if announced not in (n_messages, n_messages + self._counts[False]):
             counts = f"it counts {pluralize(announced, 'message')}, {n_messages} are there"
-            self._findings.difference("message count", f"the end record of {part.path.name}: {counts}")
+            self._findings.add_difference("message count", f"the end record of {part.path.name}: {counts}")
 
     def end(self) -> None:
         """End the session; report missing messages that exceed the dropped ones."""
         for name, topic in self._topics.items():
             if topic.unnumbered:
-                self._findings.not_compared(name, "without sequence numbers, so that missing ones do not show")
+                self._findings.count_not_compared(name, "without sequence numbers, so that missing ones do not show")
             if topic.n_missing and topic.count:
                 self._close_gap(name, topic, None)
         n_missing = sum(count for _, _, count in self._gaps)
@@ -143,14 +143,14 @@ class CompletenessCheck:
             return
         position, name, _ = min(self._gaps)
         if self._may_be_incomplete:
-            self._findings.missing(f"{pluralize(n_missing, 'message')} of {self._gap_topics()}, dropped or lost")
+            self._findings.add_deficit(f"{pluralize(n_missing, 'message')} of {self._gap_topics()}, dropped or lost")
         else:
             kind, count = self._topics[name].kind, n_missing - self._dropped
             gaps = f"{pluralize(n_missing, 'message')} of {self._gap_topics()} that are missing"
             reason = f"{gaps}, where the end record tells of {self._dropped} dropped"
-            self._findings.difference(kind, reason, position=position, count=count)
+            self._findings.add_difference(kind, reason, position=position, count=count)
 
-    def absent(self, topic: str) -> bool:
+    def is_absent(self, topic: str) -> bool:
         """Return True if a topic has no message in the session, although frames demand some."""
         entry = self._topics[topic]
         return not entry.count and entry.n_missing > 0
@@ -181,11 +181,11 @@ class CompletenessCheck:
         increment = (sequence - previous) & _SEQUENCE_MASK
         if not 0 < increment < _SEQUENCE_MASK >> 1:
             problem = "twice" if not increment else f"behind number {previous}"
-            self._findings.difference(topic.kind, f"number {sequence} of {message.topic} is there {problem}")
+            self._findings.add_difference(topic.kind, f"number {sequence} of {message.topic} is there {problem}")
             return
         if topic.unnumbered:
             topic.unnumbered = False
-            self._findings.difference(topic.kind, f"number 0 of {message.topic} is there twice")
+            self._findings.add_difference(topic.kind, f"number 0 of {message.topic} is there twice")
         self._close_gap(message.topic, topic, increment - 1)
 
     def _close_gap(self, name: str, topic: _TopicState, gap: int | None) -> None:
@@ -201,10 +201,10 @@ class CompletenessCheck:
         count = max(gap_size, n_missing)
         messages = f"{pluralize(count, 'message')} of {name}"
         if self._is_damaged():
-            self._findings.missing(messages)
+            self._findings.add_deficit(messages)
         else:
             reason = f"{messages} that {'is' if count == 1 else 'are'} missing"
-            self._findings.difference(topic.kind, reason, position=position, count=count)
+            self._findings.add_difference(topic.kind, reason, position=position, count=count)
 
     def _is_damaged(self) -> bool:
         part = self._part
@@ -223,7 +223,7 @@ class CompletenessCheck:
         if message.log_time in (expected, message.publish_time) or (is_late and self._may_have_dropped()):
             return
         times = f"{message.log_time} ns is recorded, {expected} expected"
-        self._findings.difference(kind, f"the log time of a message of {message.topic}: {times}")
+        self._findings.add_difference(kind, f"the log time of a message of {message.topic}: {times}")
 
     def _may_have_dropped(self) -> bool:
         """Return True if a dropped message may have raised later log times."""

@@ -56,11 +56,11 @@ def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], f
         for quantity, recorded, expected in compared:
             if recorded != expected:
                 reason = f"the {quantity} of {topic} ({recorded} is recorded, {expected} is due)"
-                findings.difference("declaration", reason)
+                findings.add_difference("declaration", reason)
                 break
         else:
             if not _is_same_definition(schema.data, expected_type):
-                findings.difference("declaration", f"the message definition of {topic}")
+                findings.add_difference("declaration", f"the message definition of {topic}")
 
 
 def _is_same_definition(recorded: bytes, type_name: str) -> bool:

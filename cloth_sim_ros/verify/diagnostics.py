@@ -43,7 +43,7 @@ _MAX_EDGES = 400_000
 
 
 class DiagnosticsCheck:
-    """Compares the recorded diagnostics of one node with the re-run.
+    """Comparison of one node's recorded diagnostics with the re-run.
 
     Args:
         node: resolved name of the node.
@@ -83,18 +83,18 @@ class DiagnosticsCheck:
         try:
             content = decode(message.data, TYPE)
         except SessionError as error:
-            self._findings.difference("diagnostics message", f"the diagnostics cannot be read: {error}")
+            self._findings.add_difference("diagnostics message", f"the diagnostics cannot be read: {error}")
             return
         node_statuses = [status for status in content.status if status.name == self._name]
         if len(node_statuses) < len(content.status) or not node_statuses:
-            self._findings.not_compared(message.topic, "of another name than the node's")
+            self._findings.count_not_compared(message.topic, "of another name than the node's")
         if not node_statuses:
             return
         header_error = self._header_error(content, message, node_statuses)
         if header_error:
-            self._findings.difference("diagnostics message", f"the diagnostics, by {header_error}")
+            self._findings.add_difference("diagnostics message", f"the diagnostics, by {header_error}")
         expected = self._expected(simulation)
-        self._findings.compared("diagnostics message")
+        self._findings.count_compared("diagnostics message")
         # An old key is compared like the current one.
         recorded = [
             (old_keys.DIAGNOSTICS.get(pair.key, pair.key), pair.key, pair.value) for pair in node_statuses[0].values
@@ -103,21 +103,21 @@ class DiagnosticsCheck:
         for key, recorded_key, text in recorded:
             if key == "paused" and text == "false" != expected["paused"]:
                 # A node also reports a pause by its user.
-                self._findings.not_compared(message.topic, "paused, though not by the user: /clock stands still")
+                self._findings.count_not_compared(message.topic, "paused, though not by the user: /clock stands still")
             elif key not in expected or (key in _TEXTS and self._findings.verdict.environment):
                 unchecked.add(key)
             elif text != expected[key] and (key in _EXACT or not _is_same_number(text, expected[key])):
-                self._findings.difference(
+                self._findings.add_difference(
                     "diagnostics message",
                     f"the diagnostics, by {recorded_key} ({text} is recorded, {expected[key]} came out)",
                     rounding=key not in _EXACT,
                 )
                 break
         for key in sorted(unchecked):
-            self._findings.not_compared(message.topic, key)
-        self._findings.not_compared(message.topic, "level, summary and hardware_id")
+            self._findings.count_not_compared(message.topic, key)
+        self._findings.count_not_compared(message.topic, "level, summary and hardware_id")
         if self._last == message.data:
-            self._findings.not_compared(message.topic, "the same message once more")
+            self._findings.count_not_compared(message.topic, "the same message once more")
         self._last = message.data
 
     @staticmethod
@@ -188,7 +188,7 @@ class DiagnosticsCheck:
 
 
 class _StrainGauge:
-    """Measures the largest strain of a cloth's edges."""
+    """Gauge of the largest strain of a cloth's edges."""
 
     def __init__(self, scene: Scene) -> None:
         triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()

@@ -44,7 +44,7 @@ class _Step(NamedTuple):
 
 
 class EnsembleCheck:
-    """Compares the recorded clouds of a node's ensemble with members that run again.
+    """Comparison of the recorded clouds of a node's ensemble with members that run again.
 
     Args:
         node: resolved name of the node.
@@ -85,24 +85,24 @@ class EnsembleCheck:
         self._count_gap(message)
         self._completeness.add(message, is_from_node=True)
         if not self._is_known:
-            self._findings.not_compared(self.topic, "its start is not in the recording, or too long ago")
+            self._findings.count_not_compared(self.topic, "its start is not in the recording, or too long ago")
             return
-        self._findings.compared(_KIND)
+        self._findings.count_compared(_KIND)
         try:
             frame = self._advance(message.publish_time)
         except ValueError as error:
             self._steps.clear()
-            self._findings.difference(_KIND, f"the ensemble cannot be run: {error}")
+            self._findings.add_difference(_KIND, f"the ensemble cannot be run: {error}")
             return
         if frame is None:
-            self._findings.difference(_KIND, f"a message of {self.topic} that belongs to no frame")
+            self._findings.add_difference(_KIND, f"a message of {self.topic} that belongs to no frame")
             return
         expected = self._encoder.encode(frame.mean.T, message.publish_time, deviation=frame.deviation)
         try:
             if not same_content(message.data, expected, "sensor_msgs/msg/PointCloud2"):
                 self._report(decode_cloud(message.data), frame)
         except SessionError as error:
-            self._findings.difference(_KIND, f"its ensemble cannot be read: {error}")
+            self._findings.add_difference(_KIND, f"its ensemble cannot be read: {error}")
 
     def end(self) -> None:
         """End the session: report frames without a cloud, and close the members."""
@@ -133,7 +133,7 @@ class EnsembleCheck:
 
     def _list_left_out(self, count: int) -> None:
         if count > 0:
-            self._findings.not_compared(
+            self._findings.count_not_compared(
                 self.topic, "frames without a message, as a slow ensemble leaves them out", count
             )
 
@@ -146,7 +146,7 @@ class EnsembleCheck:
 
     def _count_gap(self, message: Message) -> None:
         """Count the clouds that the recorder dropped before this one, by the sequence numbers."""
-        last = self._completeness.last(self.topic)
+        last = self._completeness.last_message(self.topic)
         gap = message.sequence - last.sequence - 1 if last is not None else 0
         for _ in range(gap if 0 < gap < _MAX_GAP else 0):
             self._completeness.add_missing(self.topic)
@@ -162,4 +162,4 @@ class EnsembleCheck:
                 if differences.max() != 0.0:
                     reason = f"its ensemble, by {differences.max():.3g} m of the {name}"
                     break
-        self._findings.difference(_KIND, reason, rounding=" m of " in reason)
+        self._findings.add_difference(_KIND, reason, rounding=" m of " in reason)

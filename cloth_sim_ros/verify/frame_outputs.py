@@ -22,7 +22,7 @@ _TF = "/tf"
 
 
 class FrameOutputCheck:
-    """Compares the clouds, wrenches, states, markers and transforms of one file's frames with the re-run.
+    """Comparison of one file's clouds, wrenches, states, markers and transforms with the re-run.
 
     Args:
         node: resolved name of the node.
@@ -138,7 +138,7 @@ class FrameOutputCheck:
             self._report_orphan(message)
             return None
         if topic in self._received:
-            self._findings.difference(self._kind(topic), f"a second message of {topic}")
+            self._findings.add_difference(self._kind(topic), f"a second message of {topic}")
             return None
         self._received.add(topic)
         return self._compare_output(message)
@@ -152,7 +152,7 @@ class FrameOutputCheck:
                 self._completeness.add_missing(topic)
         if self._states.is_due(self._simulation):
             reason = f"a message of {self._state_topic} that is missing: whether time passes has changed"
-            self._findings.difference("state", reason)
+            self._findings.add_difference("state", reason)
         self._frame = None
 
     def finish(self) -> None:
@@ -166,15 +166,15 @@ class FrameOutputCheck:
                 continue
             if topic == self._topology or self._completeness.is_seen(topic):
                 reason = f"{topic}, of which {self._part.path.name} must begin with a message"
-                self._findings.difference(self._kind(topic), reason, position=self._first)
+                self._findings.add_difference(self._kind(topic), reason, position=self._first)
             else:
-                self._findings.absent(topic)
+                self._findings.add_absent(topic)
 
     def end(self) -> None:
         """End the session: report topics without any message."""
         for topic in (self._points, *self._wrenches.values(), *self._grippers, self._marker_topic, _TF):
-            if self._completeness.absent(topic):
-                self._findings.absent(topic)
+            if self._completeness.is_absent(topic):
+                self._findings.add_absent(topic)
 
     def _add_wrench(self, name: str) -> None:
         """Add the wrench topic of an obstacle that was added during the recording."""
@@ -185,20 +185,20 @@ class FrameOutputCheck:
     def _compare_output(self, message: Message) -> bool | None:
         topic, simulation, findings = message.topic, self._simulation, self._findings
         if topic == self._points:
-            findings.compared("cloud")
+            findings.count_compared("cloud")
             return self._clouds.compare(message, simulation, self._stamp)
         if topic in self._expected_wrenches:
-            findings.compared("wrench")
+            findings.count_compared("wrench")
             wrench, frame_id = self._expected_wrenches[topic], simulation.scene.frame_id
             outputs.compare_wrench(message, wrench, frame_id=frame_id, stamp=self._stamp, findings=findings)
         elif topic in self._grippers and self._grippers[topic] in self._reasons:
             name = self._grippers[topic]
             self._gripper_states.compare(message, name, self._reasons[name], simulation)
         elif topic == self._marker_topic:
-            findings.compared("marker message")
+            findings.count_compared("marker message")
             self._markers.compare(message, simulation, self._stamp, changed=self._changed)
         elif topic == _TF:
-            findings.compared("transform")
+            findings.count_compared("transform")
             outputs.compare_transforms(message, self._node, simulation, self._stamp, findings)
         else:
             self._report_orphan(message)
@@ -213,31 +213,33 @@ class FrameOutputCheck:
             return
         part, completeness = self._part, self._completeness
         is_repeated = part.index > 0 and completeness.is_repeated(message)
-        is_first_read = part.index > 0 and completeness.last(topic) is None and message.publish_time <= self._open_time
+        is_first_read = (
+            part.index > 0 and completeness.last_message(topic) is None and message.publish_time <= self._open_time
+        )
         if topic not in self._latched or not (is_repeated or is_first_read or message.publish_time == self._open_time):
             self._report_orphan(message)
             return
         if topic in self._opening_topics:
-            self._findings.difference(self._kind(topic), f"a second message of {topic}")
+            self._findings.add_difference(self._kind(topic), f"a second message of {topic}")
             return
         self._opening_topics.add(topic)
         if topic == self._topology:
-            self._findings.compared("topology")
+            self._findings.count_compared("topology")
             outputs.compare_topology(message, self._simulation.scene, self._findings)
         elif topic == self._marker_topic:
-            self._findings.compared("marker message")
+            self._findings.count_compared("marker message")
             self._markers.compare(message, self._simulation, None)
         elif topic == self._state_topic:
             self._states.compare(message, self._simulation)
         elif is_repeated:
             # The original message was compared already.
-            self._findings.compared("gripper state")
+            self._findings.count_compared("gripper state")
         else:
             self._gripper_states.compare_older(message, self._grippers[topic], self._simulation)
 
     def _report_orphan(self, message: Message) -> None:
         reason = f"a message of {message.topic} that belongs to no frame"
-        self._findings.difference(self._kind(message.topic), reason)
+        self._findings.add_difference(self._kind(message.topic), reason)
 
     def _kind(self, topic: str) -> str:
         if topic == self._points:

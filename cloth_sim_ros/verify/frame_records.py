@@ -52,7 +52,7 @@ def compare_record(
     for quantity, recorded, rerun in compared:
         if recorded != rerun:
             reason = f"{quantity} ({recorded} was recorded, {rerun} came out)"
-            findings.difference("frame", reason, rounding=quantity in _ROUNDING_AFFECTED)
+            findings.add_difference("frame", reason, rounding=quantity in _ROUNDING_AFFECTED)
             return
     _compare_extras(record, frame, simulation, findings, topic, labels)
 
@@ -68,7 +68,7 @@ def _compare_extras(
     energy, expected = simulation.energy_report, frame.extras()
     for key in (*expected, *(("energy",) if energy is not None else ())):
         if key not in record.extras:  # older sessions have no such entries
-            findings.not_compared(topic, f"'{key}', absent from the record")
+            findings.count_not_compared(topic, f"'{key}', absent from the record")
     for key, recorded in record.extras.items():
         rerun: Any
         if key in _COMMANDS and recorded == _COMMANDS[key]:
@@ -87,8 +87,8 @@ def _compare_extras(
             is_number = isinstance(recorded, float)
             is_wrong = not is_number or not math.isclose(recorded, rerun, rel_tol=1e-9, abs_tol=1e-12)
         else:
-            findings.not_compared(topic, f"'{key}' of the record")
+            findings.count_not_compared(topic, f"'{key}' of the record")
             continue
         if is_wrong:
             reason = f"its {key} ({recorded} was recorded, {rerun} came out)"
-            findings.difference("frame", reason, rounding=key not in labels)
+            findings.add_difference("frame", reason, rounding=key not in labels)

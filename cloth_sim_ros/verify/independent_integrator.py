@@ -77,7 +77,7 @@ def dop853(
             memory[ANCHORS_KEY] = contact.combine_anchors(solver.t, x, v, anchors, [1.0], memory_at(solver.y))
         if plan.plastic is not None:
             x = solver.y[:n_coordinates].copy().reshape(shape)
-            memory[PLASTIC_LENGTHS_KEY], _ = plan.plastic.returned(x, memory)
+            memory[PLASTIC_LENGTHS_KEY], _ = plan.plastic.return_mapping(x, memory)
     if solver.status == "failed":
         raise ArithmeticError(f"DOP853 gave up at {solver.t} s: {failure}")
     x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)

@@ -37,7 +37,7 @@ _MARKED_SECOND, _MARKED_POSITION = 0x5AC3_0000, 1.2345e222
 
 
 class MarkerCheck:
-    """Compares the recorded markers of obstacles and pads with the re-run.
+    """Comparison of the recorded markers of obstacles and pads with the re-run.
 
     Args:
         node: resolved name of the node.
@@ -91,17 +91,17 @@ class MarkerCheck:
         try:
             recorded = decode(message.data, MARKERS).markers
         except SessionError as error:
-            self._findings.difference("marker message", f"the markers of obstacles cannot be read: {error}")
+            self._findings.add_difference("marker message", f"the markers of obstacles cannot be read: {error}")
             return
         if not recorded:
             if self._names or self._deleted:
-                self._findings.difference("marker message", "the markers of obstacles: there is none")
+                self._findings.add_difference("marker message", "the markers of obstacles: there is none")
             return
         deleted = [marker.ns.removeprefix(f"{self._node}/") for marker in recorded if marker.action == _DELETE]
         deleted_names = tuple(dict.fromkeys(deleted))
         deletion_error = self._deletion_error(deleted_names, changed and not (is_first and not deleted_names))
         if deletion_error:
-            self._findings.difference("marker message", f"the markers of obstacles, by {deletion_error}")
+            self._findings.add_difference("marker message", f"the markers of obstacles, by {deletion_error}")
             return
         self._deleted = deleted_names
         if stamp is None:
@@ -114,10 +114,10 @@ class MarkerCheck:
         if not reason:
             layout.learn_padding(message.data)
         if reason == _APPEARANCE and self._findings.verdict.environment:
-            self._findings.not_compared(message.topic, "colours, by other code")
+            self._findings.count_not_compared(message.topic, "colours, by other code")
         elif reason:
             text = f"the markers of obstacles, by {reason}"
-            self._findings.difference("marker message", text, rounding=_MOVED in reason)
+            self._findings.add_difference("marker message", text, rounding=_MOVED in reason)
 
     def _deletion_error(self, deleted_names: tuple[str, ...], changed: bool) -> str:
         if changed and self._removed is not None and set(deleted_names) != set(self._removed):

@@ -56,7 +56,7 @@ def same_content(recorded: bytes, expected: bytes, type_name: str) -> bool:
 
 
 class CloudCheck:
-    """Compares recorded clouds, bytes and points, with the re-run.
+    """Comparison of recorded clouds, bytes and points, with the re-run.
 
     Args:
         scene: effective when the file was opened.
@@ -87,7 +87,7 @@ class CloudCheck:
         try:
             recorded = decode_cloud(message.data)
         except SessionError as error:
-            self._findings.difference("cloud", f"its cloud cannot be read: {error}")
+            self._findings.add_difference("cloud", f"its cloud cannot be read: {error}")
             return False
         if not self._compare_header(recorded, stamp):
             return False
@@ -98,11 +98,11 @@ class CloudCheck:
             differing = _differing_particles(recorded.velocity, state.v)
             if differing.size:
                 reason = f"its cloud, by the velocity of particle {differing[0]}"
-                self._findings.difference("cloud", reason, rounding=True)
+                self._findings.add_difference("cloud", reason, rounding=True)
                 return True
         # Normals follow from positions before their rounding.
         kind = "normals" if differs_by_normals else "layout of its points"
-        self._findings.difference("cloud", f"its cloud, by the {kind}", rounding=differs_by_normals)
+        self._findings.add_difference("cloud", f"its cloud, by the {kind}", rounding=differs_by_normals)
         return True
 
     def _is_same(self, recorded: bytes, expected: bytes, start: int) -> bool:
@@ -134,7 +134,7 @@ class CloudCheck:
         height, width = self._shape
         n_points = height * width
         if len(cloud.xyz) != n_points:
-            self._findings.difference("cloud", f"its cloud has {len(cloud.xyz)} points, the cloth {n_points}")
+            self._findings.add_difference("cloud", f"its cloud has {len(cloud.xyz)} points, the cloth {n_points}")
             return False
         for name, recorded, expected in (
             ("stamp", cloud.stamp, stamp),
@@ -143,7 +143,7 @@ class CloudCheck:
         ):
             if recorded != expected:
                 reason = f"its cloud, by its {name} ({recorded} is recorded, {expected} is due)"
-                self._findings.difference("cloud", reason)
+                self._findings.add_difference("cloud", reason)
                 return False
         return True
 
@@ -154,7 +154,7 @@ class CloudCheck:
         verdict = self._findings.verdict
         verdict.largest_deviation = max(verdict.largest_deviation, deviation)
         reason = f"its cloud, by {deviation:.3g} m at particle {worst}"
-        self._findings.difference("cloud", reason, rounding=math.isfinite(deviation))
+        self._findings.add_difference("cloud", reason, rounding=math.isfinite(deviation))
 
 
 def _differing_particles(recorded: NDArray[np.floating], expected: Array) -> NDArray[np.intp]:
@@ -175,15 +175,15 @@ def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int
     try:
         content = decode(message.data, messages.WRENCH)
     except SessionError as error:
-        findings.difference("wrench", f"{reason} cannot be read: {error}")
+        findings.add_difference("wrench", f"{reason} cannot be read: {error}")
         return
     header = _header_difference(content.header, frame_id, stamp)
     if header:
-        findings.difference("wrench", f"{reason}, by {header}")
+        findings.add_difference("wrench", f"{reason}, by {header}")
         return
     recorded = [getattr(part, axis) for part in (content.wrench.force, content.wrench.torque) for axis in "xyz"]
     if np.array(recorded).tobytes() != np.ascontiguousarray(wrench, dtype=np.float64).tobytes():
-        findings.difference("wrench", reason, rounding=True)
+        findings.add_difference("wrench", reason, rounding=True)
 
 
 def is_topology_of(message: Message, scene: Scene) -> bool:
@@ -199,17 +199,17 @@ def compare_topology(message: Message, scene: Scene, findings: Findings) -> None
     try:
         recorded = decode_mesh(message.data)
     except SessionError as error:
-        findings.difference("topology", f"the topology cannot be read: {error}")
+        findings.add_difference("topology", f"the topology cannot be read: {error}")
         return
     if not np.array_equal(recorded.triangles, triangles):
-        findings.difference("topology", "the topology, by its triangles")
+        findings.add_difference("topology", "the topology, by its triangles")
     elif recorded.vertices.shape != rest_positions.shape:
         counts = f"{len(recorded.vertices)} points, the cloth {len(rest_positions)}"
-        findings.difference("topology", f"the topology has {counts}")
+        findings.add_difference("topology", f"the topology has {counts}")
     else:
         worst = float(np.abs(recorded.vertices - rest_positions).max(initial=0.0))
         reason = f"the topology, by {worst:.3g} m of its rest shape"
-        findings.difference("topology", reason, rounding=worst < _CENTRE_TOLERANCE)
+        findings.add_difference("topology", reason, rounding=worst < _CENTRE_TOLERANCE)
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:
@@ -221,21 +221,21 @@ def compare_transforms(message: Message, node: str, simulation: Simulation, stam
     try:
         recorded = decode(message.data, messages.TRANSFORMS).transforms
     except SessionError as error:
-        findings.difference("transform", f"its transforms cannot be read: {error}")
+        findings.add_difference("transform", f"its transforms cannot be read: {error}")
         return
     if [transform.child_frame_id for transform in recorded] != [name for name, _ in frames]:
-        findings.difference("transform", "its transforms, by the names of their frames")
+        findings.add_difference("transform", "its transforms, by the names of their frames")
         return
     for transform, (name, pose) in zip(recorded, frames, strict=True):
         header_error = _header_difference(transform.header, parent, stamp)
         if header_error:
-            findings.difference("transform", f"its transform of {name}, by {header_error}")
+            findings.add_difference("transform", f"its transform of {name}, by {header_error}")
             return
         translation, rotation = transform.transform.translation, transform.transform.rotation
         recorded_pose = [translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w]
         limit = _CENTRE_TOLERANCE if name.endswith(f"/{_CLOTH}") else 0.0
         if not all(abs(a - b) <= limit for a, b in zip(recorded_pose, pose, strict=True)):
-            findings.difference("transform", f"its transform of {name}", rounding=True)
+            findings.add_difference("transform", f"its transform of {name}", rounding=True)
             return
 
 

@@ -55,7 +55,7 @@ def rounding_amplification(counts: tuple[int, ...]) -> float:
 
 
 class ReferenceIntegrator:
-    """Integrates frames by extrapolated leapfrog, with an estimated error below `rate` per second.
+    """Integration of frames by extrapolated leapfrog, with an estimated error below `rate` per second.
 
     Args:
         rate: error per second of simulated time [m/s].

@@ -41,7 +41,7 @@ _N_PARTS = 8
 
 @attrs.frozen(eq=False, kw_only=True)
 class ReferenceResult:
-    """Reference positions at the end of a frame, with uncertainty and amplification."""
+    """Reference positions at the end of a frame, their uncertainty, and the growth factor of small perturbations."""
 
     #: Positions [m], shape (3, n).
     x: Array
@@ -49,7 +49,7 @@ class ReferenceResult:
     uncertainty: float
     #: Estimated effect of rounding on the positions [m].
     rounding_floor: float
-    #: Maximum amplification of three perturbations since the start; nan if not measured.
+    #: Largest of the factors by which three small perturbations have grown since the start; nan if not measured.
     amplification: float
 
 
@@ -70,7 +70,7 @@ class ReferenceSolution:
         self._integrator = ReferenceIntegrator(0.0)
 
     def advance(self, equations: Equations, frame: SimulatedFrame) -> ReferenceResult:
-        """Advance by a frame; return reference positions, their uncertainty and the amplification."""
+        """Advance by a frame; return reference positions, their uncertainty and the perturbations' growth factor."""
         solution, check, perturbed = self._solution, self._check, self._perturbed
         apply_grasps([solution, check, *perturbed], frame)
         plan = equations.plan(frame, solution)
@@ -140,7 +140,7 @@ def reference_positions(equations: Equations, frame: SimulatedFrame, state: Stat
 
 
 def later_amplification(equations: Equations, frames: Sequence[SimulatedFrame]) -> float:
-    """Return the largest amplification of perturbations that begin within a window, up to any later frame of it.
+    """Return the largest factor by which perturbations that begin within a window grow, up to any later frame of it.
 
     A motion may damp a perturbation at the window's beginning and amplify a later one: a strip falls, then buckles.
     """

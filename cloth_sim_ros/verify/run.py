@@ -48,15 +48,15 @@ _DIAGNOSTICS_WITHIN = 10.0
 class RunObserver(Protocol):
     """Observer of a session's re-run, frame by frame."""
 
-    def frame(
+    def on_frame(
         self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
     ) -> None:
         """Receive a frame of the re-run, with scene and state before it."""
 
-    def cloud(self, recorded: NDArray[np.floating], is_same: bool) -> None:
+    def on_cloud(self, recorded: NDArray[np.floating], is_same: bool) -> None:
         """Receive the frame's recorded positions (n, 3) [m]; `is_same`: they equal those of the re-run."""
 
-    def close(self) -> None:
+    def on_frame_end(self) -> None:
         """Receive the end of a frame's messages; also called without a frame."""
 
 
@@ -193,12 +193,12 @@ class _SessionRun:
             missing_topics = self._completeness.forgive_last_frame(position)
             if missing_topics:
                 topics = ", ".join(missing_topics)
-                self._findings.missing(f"its last frame, {position.frame}, was recorded without {topics}")
+                self._findings.add_deficit(f"its last frame, {position.frame}, was recorded without {topics}")
         self._frame_outputs.end()
         self._completeness.end()
         needs_diagnostics = "dropped" in part.end_notes and self._verdict.simulated > _DIAGNOSTICS_WITHIN
         if needs_diagnostics and not self._completeness.is_seen(DIAGNOSTICS):
-            self._findings.absent(DIAGNOSTICS)
+            self._findings.add_absent(DIAGNOSTICS)
         self._commands.end()
         self._ensemble.end()
 
@@ -206,12 +206,14 @@ class _SessionRun:
         topic, robot = message.topic, self.simulation.scene.robot
         if robot.enabled and topic.endswith(f"/{robot.joint_states_topic.lstrip('/~')}"):
             self._completeness.add(message, is_from_node=True)
-            self._findings.not_compared(topic, "joint states; the poses of links that follow from them are events")
+            self._findings.count_not_compared(
+                topic, "joint states; the poses of links that follow from them are events"
+            )
             return
         is_from_node = topic in _SHARED or topic == "/tf" or topic.startswith(f"{self._node}/")
         self._completeness.add(message, is_from_node=is_from_node)
         default = "an unknown topic of the node" if is_from_node else "not the node's"
-        self._findings.not_compared(topic, _SHARED.get(topic, default))
+        self._findings.count_not_compared(topic, _SHARED.get(topic, default))
 
     def _check_snapshot(self) -> None:
         """Compare the snapshot of a split file with the final state of the previous file."""
@@ -219,7 +221,9 @@ class _SessionRun:
         if previous is None or previous.frame != self.simulation.frame:
             return
         if previous.state.digest() != self.simulation.state.digest():
-            self._findings.difference("snapshot", f"the snapshot that {self._part.path.name} opens with", rounding=True)
+            self._findings.add_difference(
+                "snapshot", f"the snapshot that {self._part.path.name} opens with", rounding=True
+            )
 
     def _run_frame(self, record: FrameRecord, message: Message) -> bool:
         self._frame_outputs.close_frame()
@@ -238,14 +242,14 @@ class _SessionRun:
             events: list[Event] = [from_dict(dict(event)) for event in record.events]
             self._frame = frame = simulation.advance(events)
         except (ValueError, UnstableError) as error:
-            self._findings.difference("frame", f"it cannot be run: {error}")
+            self._findings.add_difference("frame", f"it cannot be run: {error}")
             return False
         # Messages of a frame share its publish time; a log time may be raised to keep the order of recording.
         stamp = message.publish_time
         verdict.simulated += simulation.time - start_time
         compare_record(record, frame, simulation, self._findings, topic=self._frame_topic, labels={"stamp": stamp})
         if self._observer is not None:
-            self._observer.frame(simulation, scene, before, frame, record)
+            self._observer.on_frame(simulation, scene, before, frame, record)
         assert self._commands is not None
         assert self._diagnostics is not None
         self._commands.compare(record, message.log_time, stamp, simulation)
@@ -257,14 +261,14 @@ class _SessionRun:
     def _observe_cloud(self, message: Message, is_same: bool) -> None:
         if self._observer is not None:
             try:
-                self._observer.cloud(decode_cloud(message.data).xyz, is_same)
+                self._observer.on_cloud(decode_cloud(message.data).xyz, is_same)
             except SessionError:
                 # An unreadable cloud is reported already; it has no positions.
                 return
 
     def _close_frame(self) -> None:
         if self._observer is not None:
-            self._observer.close()
+            self._observer.on_frame_end()
 
 
 def _simulation(part: SessionPart) -> Simulation:

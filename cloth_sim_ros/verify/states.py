@@ -23,7 +23,7 @@ _OK, _WARN = 0, 1
 
 
 class StateCheck:
-    """Compares the node's `~/state` with the re-run: active while time passes, otherwise inactive.
+    """Comparison of the node's `~/state` with the re-run: active while time passes, otherwise inactive.
 
     Args:
         findings: collects the differences.
@@ -42,19 +42,21 @@ class StateCheck:
         try:
             content = decode(message.data, STATE)
         except SessionError as error:
-            self._findings.difference("state", f"the state of the node cannot be read: {error}")
+            self._findings.add_difference("state", f"the state of the node cannot be read: {error}")
             return
         if self._last == (content.id, content.label):
-            self._findings.difference("state", f"the state of the node, {content.label}, that is there twice in a row")
+            self._findings.add_difference(
+                "state", f"the state of the node, {content.label}, that is there twice in a row"
+            )
         self._last, self._is_explained, self._is_older = (content.id, content.label), simulation.paused, False
         if self._last == (_INACTIVE if simulation.paused else _ACTIVE):
-            self._findings.compared("state")
+            self._findings.count_compared("state")
         elif self._last == _ACTIVE:
-            self._findings.difference("state", "the state of the node (active is recorded, the frame is paused)")
+            self._findings.add_difference("state", "the state of the node (active is recorded, the frame is paused)")
         elif self._last[0] in (_INACTIVE[0], _ACTIVE[0]) and self._last != _INACTIVE:
-            self._findings.difference("state", f"the state of the node, by its label {content.label!r}")
+            self._findings.add_difference("state", f"the state of the node, by its label {content.label!r}")
         else:
-            self._findings.not_compared(message.topic, f"{content.label}, which the node's clock or end decides")
+            self._findings.count_not_compared(message.topic, f"{content.label}, which the node's clock or end decides")
 
     def open_frame(self) -> None:
         """Begin a frame of the re-run: the last state may be outdated."""
@@ -68,7 +70,7 @@ class StateCheck:
 
 
 class GripperStateCheck:
-    """Compares `~/<gripper>/state` with the re-run: open or closed, and the number of grasped particles.
+    """Comparison of `~/<gripper>/state` with the re-run: open or closed, and the number of grasped particles.
 
     Args:
         node: resolved name of the node.
@@ -93,18 +95,18 @@ class GripperStateCheck:
         recorded = self._read(message, name)
         if recorded is None:
             return
-        self._findings.compared("gripper state")
+        self._findings.count_compared("gripper state")
         expected = self._expected(name, reason, simulation)
         differing = [key for key, value in expected.items() if recorded.get(key) != value]
         unexpected = [key for key in recorded if key not in expected]
         if differing == ["message"] and self._findings.verdict.environment:
-            self._findings.not_compared(message.topic, "texts, by other code")
+            self._findings.count_not_compared(message.topic, "texts, by other code")
         elif differing or unexpected:
             key = (differing or unexpected)[0]
             values = f"{recorded.get(key)} is recorded, {expected.get(key)} is due"
             rounding = key in ("grasped_count", "message", "level")
             text = f"the state of {name}, by its {key} ({values})"
-            self._findings.difference("gripper state", text, rounding=rounding)
+            self._findings.add_difference("gripper state", text, rounding=rounding)
 
     def compare_older(self, message: Message, name: str, simulation: Simulation) -> None:
         """Compare a gripper's state from before the beginning of the file, as far as it must still hold."""
@@ -113,28 +115,28 @@ class GripperStateCheck:
             return
         expected = self._expected(name, "", simulation)
         if recorded == expected:
-            self._findings.compared("gripper state")
+            self._findings.count_compared("gripper state")
             return
         recorded_closed, frame = recorded.get("closed"), str(recorded.get("frame", ""))
         if recorded_closed != expected["closed"] or not frame.isdecimal() or int(frame) > simulation.frame:
-            self._findings.difference("gripper state", f"the state of {name} that the file begins with")
+            self._findings.add_difference("gripper state", f"the state of {name} that the file begins with")
         else:
-            self._findings.not_compared(message.topic, "sent before the file began")
+            self._findings.count_not_compared(message.topic, "sent before the file began")
 
     def _read(self, message: Message, name: str) -> dict[str, object] | None:
         try:
             content = decode(message.data, STATUS)
         except SessionError as error:
-            self._findings.difference("gripper state", f"the state of {name} cannot be read: {error}")
+            self._findings.add_difference("gripper state", f"the state of {name} cannot be read: {error}")
             return None
         if len({value.key for value in content.values}) < len(content.values):
-            self._findings.difference("gripper state", f"the state of {name}, by a key that is there twice")
+            self._findings.add_difference("gripper state", f"the state of {name}, by a key that is there twice")
             return None
         entries: dict[str, str] = {}
         for pair in content.values:
             current_key = old_keys.GRIPPER_STATE.get(pair.key, pair.key)
             if entries.setdefault(current_key, pair.value) != pair.value:
-                self._findings.difference("gripper state", f"the state of {name}, by its {pair.key} ({pair.value})")
+                self._findings.add_difference("gripper state", f"the state of {name}, by its {pair.key} ({pair.value})")
                 return None
         return {
             "level": _level(content.level),

@@ -72,7 +72,7 @@ class FramePosition:
 
 
 class Findings:
-    """Collects the findings of several checks, in any order, in a verdict.
+    """Collector of the findings of several checks, in any order, in a verdict.
 
     Args:
         verdict: the verdict.
@@ -85,25 +85,25 @@ class Findings:
         self._first_position = FramePosition(-1)
         self._different: set[int] = set()
 
-    def compared(self, kind: str, count: int = 1) -> None:
+    def count_compared(self, kind: str, count: int = 1) -> None:
         """Count compared messages of a kind."""
         self.verdict.compared[kind] += count
 
-    def not_compared(self, topic: str, reason: str, count: int = 1) -> None:
+    def count_not_compared(self, topic: str, reason: str, count: int = 1) -> None:
         """Count messages of a topic that were not compared, by reason."""
         self.verdict.not_compared[topic, reason] += count
 
-    def absent(self, topic: str) -> None:
+    def add_absent(self, topic: str) -> None:
         """Add a topic that lacks its messages, once."""
         if topic not in self.verdict.absent:
             self.verdict.absent.append(topic)
 
-    def missing(self, sentence: str) -> None:
+    def add_deficit(self, sentence: str) -> None:
         """Add a deficit of the session, a sentence, once."""
         if sentence not in self.verdict.missing:
             self.verdict.missing.append(sentence)
 
-    def difference(
+    def add_difference(
         self, kind: str, reason: str, *, position: FramePosition | None = None, rounding: bool = False, count: int = 1
     ) -> None:
         """Count differing messages of a kind; the first difference in the order of the session is described.

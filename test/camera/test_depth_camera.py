@@ -79,7 +79,7 @@ def test_depth_of_each_shape_is_exact(shape: str, pose: tuple[float, ...]) -> No
     turned, at = rotation_matrix(np.array(pose[3:])), np.array(pose[:3])
     orientation = quaternion_product(pose[3:], normalized([0.9, 0.3, -0.2, 0.3]).tolist())
     body_pose = np.array([*(at + turned @ [0.05, 0.1, 1.3]), *orientation])
-    depths, labels = view.view(pose, NO_POINTS, [(body, body_pose, 7)])
+    depths, labels = view.render(pose, NO_POINTS, [(body, body_pose, 7)])
     body_turned = rotation_matrix(body_pose[3:])
     directions = rays_of(view).reshape(-1, 3) @ turned.T @ body_turned
     expected, smallest = march(body, (at - body_pose[:3]) @ body_turned, directions)
@@ -108,7 +108,7 @@ def sheet(slope: tuple[float, float], distance: float, n: int = 12) -> tuple[np.
 def test_depth_of_slanted_cloth_is_exact_from_both_sides(flipped: bool) -> None:
     x, triangles = sheet((0.5, -0.3), 1.0)
     view = camera(triangles[:, ::-1] if flipped else triangles)
-    depths, labels = view.view(ORIGIN, x, [])
+    depths, labels = view.render(ORIGIN, x, [])
     rays = rays_of(view)
     expected = 1.0 / (1.0 - 0.5 * rays[..., 0] + 0.3 * rays[..., 1])
     assert np.all(labels == 1), "a sheet has no holes between its triangles"
@@ -120,7 +120,7 @@ def test_sheet_through_camera_plane_is_clipped() -> None:
     x, triangles = sheet((0.0, 0.0), 0.0, n=2)
     floor = np.ascontiguousarray(np.stack([x[0], np.full(x.shape[1], 0.5), x[1]]))
     view = camera(triangles)
-    depths, labels = view.view(ORIGIN, floor, [])
+    depths, labels = view.render(ORIGIN, floor, [])
     down = rays_of(view)[..., 1]
     with np.errstate(divide="ignore"):
         expected = 0.5 / down
@@ -135,11 +135,11 @@ def test_nearest_surface_hides_others() -> None:
     view = camera(triangles)
     ball, wall = SOLIDS["sphere"], SOLIDS["box"]
     before, behind = np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0])
-    depths, labels = view.view(ORIGIN, x, [(ball, before, 2), (wall, behind, 3)])
+    depths, labels = view.render(ORIGIN, x, [(ball, before, 2), (wall, behind, 3)])
     assert set(np.unique(labels)) == {1, 2}
     assert labels[18, 24] == 2 and depths[18, 24] == pytest.approx(0.5, abs=1e-3)
     assert labels[0, 0] == 1 and depths[0, 0] == pytest.approx(1.0, abs=1e-6)
-    _, labels = camera().view(ORIGIN, NO_POINTS, [(wall, behind, 3), (ball, before, 2)])
+    _, labels = camera().render(ORIGIN, NO_POINTS, [(wall, behind, 3), (ball, before, 2)])
     assert labels[18, 24] == 2
 
 
@@ -147,7 +147,7 @@ def test_nearest_surface_hides_others() -> None:
 def test_camera_inside_a_solid_sees_through_it(shape: str) -> None:
     x, triangles = sheet((0.0, 0.0), 1.0)
     inside = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0])
-    _, labels = camera(triangles).view(ORIGIN, x, [(SOLIDS[shape], inside, 2)])
+    _, labels = camera(triangles).render(ORIGIN, x, [(SOLIDS[shape], inside, 2)])
     assert np.all(labels == 1)
 
 
@@ -156,7 +156,7 @@ def test_mesh_of_a_box_looks_like_the_box() -> None:
     mesh = Obstacle(name="mesh", shape="mesh", vertices=box.vertices, triangles=box.faces)
     for distance in (0.05, 1.2):
         pose = np.array([0.05, 0.02, distance, *normalized([0.3, 0.1, -0.2, 0.9])])
-        images = [camera().view(ORIGIN, NO_POINTS, [(body, pose, 2)]) for body in (mesh, SOLIDS["box"])]
+        images = [camera().render(ORIGIN, NO_POINTS, [(body, pose, 2)]) for body in (mesh, SOLIDS["box"])]
         (depths, labels), (exact_depths, exact_labels) = [(depths, labels.copy()) for depths, labels in images]
         assert np.count_nonzero(labels != exact_labels) <= 0.02 * np.count_nonzero(labels)
         both = (labels == 2) & (exact_labels == 2)
@@ -169,7 +169,7 @@ def test_pixels_out_of_range_have_no_depth_and_hide_others() -> None:
     view = camera(triangles, min_depth=0.9, max_depth=1.2)
     rays = rays_of(view)
     behind = np.array([0.0, 0.0, 1.15, *normalized([1.0, 0.0, 0.0, 0.0])])
-    depths, labels = view.view(ORIGIN, x, [(SOLIDS["plane"], behind, 2)])
+    depths, labels = view.render(ORIGIN, x, [(SOLIDS["plane"], behind, 2)])
     expected = 1.0 / (1.0 - rays[..., 0])
     assert np.all(np.isnan(depths[expected < 0.899])), "a near surface hides the plane behind it"
     assert np.array_equal(np.isnan(depths), labels == 0)
@@ -179,7 +179,7 @@ def test_pixels_out_of_range_have_no_depth_and_hide_others() -> None:
 def test_points_lie_on_the_rays_of_pixels() -> None:
     x, triangles = sheet((0.5, -0.3), 1.0)
     view = camera(triangles)
-    depths, _ = view.view(ORIGIN, x, [])
+    depths, _ = view.render(ORIGIN, x, [])
     points = view.points(depths)
     assert np.abs(points - depths[..., None] * rays_of(view)).max() < 1e-6
     assert np.abs(points[..., 2] - 1.0 - 0.5 * points[..., 0] + 0.3 * points[..., 1]).max() < 1e-6
@@ -202,20 +202,20 @@ def test_noise_grows_with_squared_depth_and_repeats() -> None:
         x[:2] *= 2.0
         values = {"disparity_noise": 0.1, "baseline": 0.05, "fov": 1.0, "max_depth": 5.0}
         view = camera(triangles, **values)
-        depths, _ = view.view(ORIGIN, x, [], frame=3)
+        depths, _ = view.render(ORIGIN, x, [], frame=3)
         deviations.append(float(np.std(depths - distance)))
         expected = 0.1 * distance**2 / (view.intrinsics[0] * 0.05)
         assert deviations[-1] == pytest.approx(expected, rel=0.1)
-        assert np.array_equal(view.view(ORIGIN, x, [], frame=3)[0], depths)
-        assert not np.array_equal(view.view(ORIGIN, x, [], frame=4)[0], depths)
-        assert not np.array_equal(camera(triangles, **values, seed=1).view(ORIGIN, x, [], frame=3)[0], depths)
-        assert not np.array_equal(camera(triangles, "other", **values).view(ORIGIN, x, [], frame=3)[0], depths)
+        assert np.array_equal(view.render(ORIGIN, x, [], frame=3)[0], depths)
+        assert not np.array_equal(view.render(ORIGIN, x, [], frame=4)[0], depths)
+        assert not np.array_equal(camera(triangles, **values, seed=1).render(ORIGIN, x, [], frame=3)[0], depths)
+        assert not np.array_equal(camera(triangles, "other", **values).render(ORIGIN, x, [], frame=3)[0], depths)
 
 
 @pytest.mark.parametrize("noise", [{"disparity_noise": 20.0}, {"disparity_step": 100.0}], ids=["noise", "step"])
 def test_noise_out_of_range_leaves_neither_depth_nor_label(noise: dict[str, float]) -> None:
     x, triangles = sheet((0.5, -0.3), 1.0)
-    depths, labels = camera(triangles, min_depth=0.9, max_depth=1.2, **noise).view(ORIGIN, x, [])
+    depths, labels = camera(triangles, min_depth=0.9, max_depth=1.2, **noise).render(ORIGIN, x, [])
     assert np.isnan(depths).any() and np.array_equal(np.isnan(depths), labels == 0)
     assert not np.any((depths < 0.9) | (depths > 1.2))
 
@@ -223,10 +223,10 @@ def test_noise_out_of_range_leaves_neither_depth_nor_label(noise: dict[str, floa
 def test_disparity_step_gives_steps_of_depth() -> None:
     x, triangles = sheet((0.5, -0.3), 1.0)
     view = camera(triangles, disparity_step=0.25)
-    depths, _ = view.view(ORIGIN, x, [])
+    depths, _ = view.render(ORIGIN, x, [])
     disparities = view.intrinsics[0] * view.parameters.baseline / depths
     assert np.abs(disparities / 0.25 - np.rint(disparities / 0.25)).max() < 1e-4
-    exact, _ = camera(triangles).view(ORIGIN, x, [])
+    exact, _ = camera(triangles).render(ORIGIN, x, [])
     step = 0.25 * exact**2 / (view.intrinsics[0] * view.parameters.baseline)
     assert np.abs(depths - exact).max() > LIMIT
     assert np.all(np.abs(depths - exact) < 0.6 * step)
@@ -235,7 +235,7 @@ def test_disparity_step_gives_steps_of_depth() -> None:
 def test_vertex_without_position_leaves_out_its_triangles() -> None:
     x, triangles = sheet((0.0, 0.0), 1.0)
     x[:, 65] = np.nan, np.inf, -np.inf
-    depths, labels = camera(triangles).view(ORIGIN, x, [])
+    depths, labels = camera(triangles).render(ORIGIN, x, [])
     assert 0 < np.isnan(depths).sum() < depths.size
     assert np.array_equal(np.isnan(depths), labels == 0)
 
@@ -279,5 +279,5 @@ def test_triangles_around_a_corner_leave_no_hole() -> None:
         around = angles + random.uniform(0.0, 1.0, 5)
         ring = np.stack([np.cos(around), np.sin(around), random.uniform(-0.1, 0.1, 5)], axis=1)
         x = np.ascontiguousarray(np.vstack([corner, corner + 0.2 * ring]).T)
-        depths, labels = view.view(ORIGIN, x, [])
+        depths, labels = view.render(ORIGIN, x, [])
         assert labels[v, u] == 1 and depths[v, u] == pytest.approx(depth, rel=1e-6)

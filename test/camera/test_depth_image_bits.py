@@ -32,7 +32,7 @@ bodies = [
     for k, (shape, size) in enumerate(sizes.items())
 ]
 camera = DepthCamera("wrist", CameraParameters(width=101, height=67, min_depth=0.001), triangles)
-depths, labels = camera.view((0.0, 0.0, -0.3, 0.02, 0.01, 0.1, 0.9), x, bodies)
+depths, labels = camera.render((0.0, 0.0, -0.3, 0.02, 0.01, 0.1, 0.9), x, bodies)
 print(sorted(set(labels.ravel().tolist())), hashlib.sha256(depths.tobytes() + labels.tobytes()).hexdigest())
 """
 

@@ -146,11 +146,11 @@ BAD_GRIPS = {
 def test_what_no_gripper_holds_is_refused(name, bad):
     grips, x = Grips(1), np.zeros((3, N))
     plan = compile(Model(np.ones(N), [grips]))
-    grips.hold(**GRIPS)
+    grips.set_grips(**GRIPS)
     plan.spectral_bounds(x)
     # What is wrong with the numbers of particles and starts is told of both.
     words = "particles|starts" if name in ("particles", "starts") else name
-    grips.hold(**{**GRIPS, name: bad})
+    grips.set_grips(**{**GRIPS, name: bad})
     for ask in (
         lambda: plan.spectral_bounds(x),
         lambda: plan.runs(0.0, 0.01, (x, x), [1]),
@@ -158,7 +158,7 @@ def test_what_no_gripper_holds_is_refused(name, bad):
     ):
         with pytest.raises(ValueError, match=words):
             ask()
-    grips.hold(**GRIPS)
+    grips.set_grips(**GRIPS)
     plan.spectral_bounds(x)
 
 
@@ -191,7 +191,7 @@ def test_what_is_no_model_is_refused(masses, forces, anchors, words):
 
 def some_plan(listed):
     grips = Grips(1)
-    grips.hold(**GRIPS)
+    grips.set_grips(**GRIPS)
     families = [GridFamily(**{**FAMILY, "name": name}) for name in ("right", "down")]
     springs = PairSprings(PAIRS, 1.0, 2.0, 0.5) if listed else GridSprings(2, 4, families)
     return compile(Model(np.ones(N), [springs, grips, Drag(0.1)]))

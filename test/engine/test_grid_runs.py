@@ -200,7 +200,7 @@ def some_grips():
     paths[:, 1:13] = 0.1 * random.standard_normal((4, 12))
     paths[:, 16] = 1.0
     grips = Grips(4)
-    grips.hold(
+    grips.set_grips(
         paths,
         np.arange(5),
         np.array([3, 18, 19, 130]),

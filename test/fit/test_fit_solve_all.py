@@ -166,12 +166,12 @@ def test_steps_of_next_linearization_differ_from_the_used_ones() -> None:
     smooth = Derivatives(
         slopes=[[[np.ones((5, 3))]] * p], curvatures=[[[np.zeros((5, 3))]] * p], steps=np.array([0.052, 0.2])
     )
-    following = DifferenceSteps.initial(p).following(smooth, sigmas)
+    following = DifferenceSteps.initial(p).next_steps(smooth, sigmas)
     assert following.steps == pytest.approx([0.7 * 0.052, 0.05])
     assert not following.is_rough
     rough = Derivatives(slopes=smooth.slopes, curvatures=[[[np.ones((5, 3))]] * p], steps=np.array([0.1, 0.3]))
-    following = DifferenceSteps.initial(p).following(rough, sigmas)
+    following = DifferenceSteps.initial(p).next_steps(rough, sigmas)
     assert following.is_rough
     assert following.steps == pytest.approx([0.2, ROUGH_STEP])
     # Steps over short waves stay long, although later differences are smooth.
-    assert following.following(smooth, sigmas).steps == pytest.approx([0.2, ROUGH_STEP])
+    assert following.next_steps(smooth, sigmas).steps == pytest.approx([0.2, ROUGH_STEP])

@@ -84,10 +84,10 @@ def test_sample_is_read_from_scene_and_fabric_files(tmp_path: Path) -> None:
     fabric.write_text(FABRIC)
     of_scene, of_file = read_sample(str(scene)), read_sample(str(fabric))
     assert of_scene.density == 0.3
-    assert of_scene.pair("material.bending_modulus") == pytest.approx((6.4196e-05, 9.6952e-05))
+    assert of_scene.warp_and_weft("material.bending_modulus") == pytest.approx((6.4196e-05, 9.6952e-05))
     assert of_scene.fabric.drape_coefficient == (0.7, 0.9)
     assert of_file.title == "mine"
-    assert of_file.pair("material.bending_modulus") == (1e-5, 1e-5)
+    assert of_file.warp_and_weft("material.bending_modulus") == (1e-5, 1e-5)
     (tmp_path / "bad.yaml").write_text("a: [")
     with pytest.raises(ParameterError, match="YAML"):
         read_sample(str(tmp_path / "bad.yaml"))

@@ -30,7 +30,7 @@ def test_cantilever_has_the_bending_length_of_the_modulus(sample: FabricSample) 
 
 
 def test_cantilever_error_falls_with_the_cells(sample: FabricSample) -> None:
-    exact = (sample.pair("material.bending_modulus")[0] / (sample.density * 9.81)) ** (1.0 / 3.0)
+    exact = (sample.warp_and_weft("material.bending_modulus")[0] / (sample.density * 9.81)) ** (1.0 / 3.0)
     coarse, fine = (cantilever(sample, 0.0, cells=cells).bending_length / exact - 1.0 for cells in (2, 4))
     assert 0.0 < fine < 0.5 * coarse < 0.015
 
@@ -41,7 +41,7 @@ def test_cantilever_of_a_limp_fabric_is_refused() -> None:
 
 
 def test_bending_moment_is_modulus_times_curvature(sample: FabricSample) -> None:
-    warp, weft = sample.pair("material.bending_modulus")
+    warp, weft = sample.warp_and_weft("material.bending_modulus")
     assert bending_moment(sample, 0.0, 100.0, cells=6) == pytest.approx(100.0 * warp, rel=0.01)
     assert bending_moment(sample, 0.5 * math.pi, 100.0, cells=6) == pytest.approx(100.0 * weft, rel=0.01)
     assert [measurement.ratio for measurement in measure_bending(sample) if measurement.ratio] == pytest.approx(

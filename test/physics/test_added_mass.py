@@ -283,7 +283,9 @@ class Carried:
         path[0, 4:13] = [0.5, -0.2, 0.8, 3.0, 20.0, -5.0, 100.0, -50.0, 200.0]
         path[0, 17:23] = [1.0, 2.0, -1.0, 20.0, -30.0, 10.0]
         ones = np.ones(4)
-        grips.hold(path, np.array([0, 4]), held, (self.x[:, held] - self.x[:, :1]).T, ones, ones, ones.astype(bool))
+        grips.set_grips(
+            path, np.array([0, 4]), held, (self.x[:, held] - self.x[:, :1]).T, ones, ones, ones.astype(bool)
+        )
 
 
 @pytest.mark.parametrize("panels", [CELLS, TRIANGLES])

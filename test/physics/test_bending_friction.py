@@ -74,7 +74,7 @@ def friction_moments(strip: Scene, curvatures: Array) -> tuple[Array, Array]:
         ends = [arc(strip, curvature + sign * step) for sign in (1.0, -1.0)]
         energies = [plan.energies(0.0, x, None, memory)[1] - elastic.energies(0.0, x, None)[1] for x in ends]
         moments.append((energies[0] - energies[1]) / (2.0 * step) / area)
-        memory[PLASTIC_LENGTHS_KEY], work = plan.plastic.returned(arc(strip, curvature), memory)
+        memory[PLASTIC_LENGTHS_KEY], work = plan.plastic.return_mapping(arc(strip, curvature), memory)
         works.append(work / area)
     return np.array(moments), np.array(works)
 
@@ -129,7 +129,7 @@ def test_bounds_hold_for_every_plastic_length() -> None:
     stiff, damped = np.zeros((2, 6, x.shape[1]))
     plan.add_bounds(x, stiff, damped, memory=NO_MEMORY)
     assert not damped.any()
-    lengths = plan.plastic.of(NO_MEMORY) + np.random.default_rng(1).normal(size=150)
+    lengths = plan.plastic.lengths_of(NO_MEMORY) + np.random.default_rng(1).normal(size=150)
     directions = np.random.default_rng(2).normal(size=(50, *x.shape))
     for u in directions:
         product = np.zeros_like(x)
@@ -172,7 +172,7 @@ def test_combination_returns_to_yield_surface() -> None:
     tableau = ExtrapolationTableau(plan, start, 0.0, 0.05, (60, 75, 90))
     tableau.commit(3, state)
     lengths = state.memory[PLASTIC_LENGTHS_KEY]
-    again, work = plan.plastic.returned(state.x, state.memory)
+    again, work = plan.plastic.return_mapping(state.x, state.memory)
     assert lengths.any()
     assert work == 0.0
     assert np.array_equal(again, lengths)
@@ -181,7 +181,7 @@ def test_combination_returns_to_yield_surface() -> None:
 def test_lengths_that_no_run_moved_keep_their_bits() -> None:
     strip = scene(FALLING, bending__friction_moment=1.0, bending__yield_curvature=1e5)
     plan, start = strip.plan(), strip.starting_state()
-    lengths = np.random.default_rng(5).uniform(-1e-6, 1e-6, len(plan.plastic.of({})))
+    lengths = np.random.default_rng(5).uniform(-1e-6, 1e-6, len(plan.plastic.lengths_of({})))
     start.memory[PLASTIC_LENGTHS_KEY] = lengths
     ExtrapolationTableau(plan, start, 0.0, 0.02, (60, 75, 90)).commit(3, start)
     assert np.array_equal(start.memory[PLASTIC_LENGTHS_KEY], lengths)
@@ -206,7 +206,7 @@ def test_free_strip_with_friction_gains_no_energy() -> None:
     strip = scene(STRIP, bending__model="quadratic", material__damping=0.0, air__drag=0.0, wind__normal_drag=0.0)
     plan, state, method = strip.plan(), strip.starting_state(), strip.build_integrator()
     state.x = arc(strip, 60.0)
-    state.memory[PLASTIC_LENGTHS_KEY], _ = plan.plastic.returned(state.x, {})
+    state.memory[PLASTIC_LENGTHS_KEY], _ = plan.plastic.return_mapping(state.x, {})
     energies = [plan.energy(0.0, state.x, state.v, state.memory)]
     for frame in range(60):
         method.advance(plan, state, frame / 60.0, 1.0 / 60.0)
@@ -228,7 +228,7 @@ def test_runs_of_two_threads_have_the_same_bits() -> None:
     speeds = np.random.default_rng(7).normal(size=start.v.shape)
     for plan, begin, duration in ((sheet, (start.x, speeds), 0.01), (mesh, (x, v), 0.2)):
         single = run_twice(plan, *begin, duration, threads=1)
-        assert single[0][1] != plan.plastic.of({}).tobytes()
+        assert single[0][1] != plan.plastic.lengths_of({}).tobytes()
         assert run_twice(plan, *begin, duration, threads=2) == single
         assert run_twice(plan, *begin, duration, threads=3) == single
         assert run_twice(plan, *begin, duration, concurrency=2) == single

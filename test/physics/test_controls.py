@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.state.state import State
 def _plan(n: int = 3) -> Plan:
     """Return the plan of n particles, of which a gripper grasps the last one."""
     grips = Grips(1)
-    grips.hold(grips.paths, np.array([0, 1]), np.array([n - 1]), np.ones((1, 3)), np.full(1, 30.0), np.ones(1))
+    grips.set_grips(grips.paths, np.array([0, 1]), np.array([n - 1]), np.ones((1, 3)), np.full(1, 30.0), np.ones(1))
     return compile(Model(np.ones(n), [grips]))
 
 
@@ -60,7 +60,7 @@ def test_controls_keep_their_own_copies() -> None:
     assert grips is not None
     paths[:, 16] = 1.0
     stiffness = np.full(1, 30.0)
-    grips.hold(paths, grips.starts, grips.particles, grips.offsets, stiffness, np.ones(1))
+    grips.set_grips(paths, grips.starts, grips.particles, grips.offsets, stiffness, np.ones(1))
     paths[:, 1], stiffness[:] = 1.0, 0.0
     assert (_accelerations(plan) == expected).all()
     grips.set_paths(paths)

@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.forces.wind import Wind
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import GridFamily
-from cloth_sim_ros.physics.plan.gripper_path import planned_paths
+from cloth_sim_ros.physics.plan.gripper_path import plan_paths
 from cloth_sim_ros.physics.plan.plan import compile
 
 N = 12
@@ -69,11 +69,13 @@ def grips(stillness=False):
     held = Grips(2)
     pose, turned = [0.1, 0, 0, 0, 0, 0, 1.0], [0.4, 0.2, 0.1, *Rotation.from_rotvec([1, 2, 0]).as_quat()]
     twists = np.array([RNG.standard_normal(6) for _ in range(2)])
-    paths = planned_paths(0.0, 0.1, np.array([pose, turned]), twists, np.zeros((2, 6)), np.array([turned, pose]))[0]
+    paths = plan_paths(0.0, 0.1, np.array([pose, turned]), twists, np.zeros((2, 6)), np.array([turned, pose]))[0]
     if stillness:
         paths[:, 4:13] = paths[:, 17:26] = 0.0
     particles = np.array([1, 2, 2, 5])
-    held.hold(paths, np.array([0, 2, 4]), particles, RNG.standard_normal((4, 3)), np.full(4, 30.0), np.full(4, 2.0))
+    held.set_grips(
+        paths, np.array([0, 2, 4]), particles, RNG.standard_normal((4, 3)), np.full(4, 30.0), np.full(4, 2.0)
+    )
     return held
 
 
@@ -147,7 +149,7 @@ def test_forces_energies_and_powers_are_those_of_the_laws(forces, seed):
     assert kinetic == pytest.approx(0.5 * np.sum(MASSES * v * v), rel=1e-12)
     assert potential == pytest.approx(expected.energy, rel=1e-11, abs=1e-12)
     assert plan.dissipation(T, x, v) == pytest.approx(expected.dissipation, rel=1e-11, abs=1e-12)
-    assert plan.supply(T, x, v) == pytest.approx(expected.external_power, rel=1e-11, abs=1e-12)
+    assert plan.external_power(T, x, v) == pytest.approx(expected.external_power, rel=1e-11, abs=1e-12)
 
 
 @over({name: ALL[name] for name in ("grips", "everything on a list", "everything on a sheet")})
@@ -192,7 +194,7 @@ def test_power_is_wind_power_minus_dissipation(forces, seed):
     x, v, _ = random_state(seed)
     forces = [grips(stillness=True) if isinstance(model_force, Grips) else model_force for model_force in forces]
     plan = plan_of(forces)
-    dissipation, wind_power = plan.dissipation(T, x, v), plan.supply(T, x, v)
+    dissipation, wind_power = plan.dissipation(T, x, v), plan.external_power(T, x, v)
     still = np.zeros_like(x)
     # At rest the force is elastic, or that of the wind.
     resting = force(plan, x, still, T)
@@ -206,7 +208,7 @@ def test_power_is_wind_power_minus_dissipation(forces, seed):
 @over(MOVING_AIR)
 def test_moving_air_does_work(forces):
     x, v, _ = random_state(0)
-    assert plan_of(forces).supply(T, x, v) != 0.0
+    assert plan_of(forces).external_power(T, x, v) != 0.0
 
 
 @over(CONSERVING)

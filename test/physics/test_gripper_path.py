@@ -10,14 +10,14 @@ from support.alone import alone, force
 
 from cloth_sim_ros.engine.binding import check, library
 from cloth_sim_ros.physics.model.forces.grips import Grips
-from cloth_sim_ros.physics.plan.gripper_path import normalized, planned_paths, rotation_matrix, rotation_vector
+from cloth_sim_ros.physics.plan.gripper_path import normalized, plan_paths, rotation_matrix, rotation_vector
 
 T = 1 / 60
 
 
 def planned(t, *given):
     """Return a frame's path, the twist at its end and its rotation vector."""
-    return [part[0] for part in planned_paths(t, T, *(array[None] for array in given))[:3]]
+    return [part[0] for part in plan_paths(t, T, *(array[None] for array in given))[:3]]
 
 
 def at(row, t):
@@ -112,7 +112,7 @@ def test_grip_work_is_stored_energy_plus_dissipation(seed):
     held = Grips(1)
     path = planned(0.0, random_pose(rng), rng.standard_normal(6), np.zeros(6), random_pose(rng))[0]
     offsets = rng.standard_normal((2, 3))
-    held.hold(path[None], np.array([0, 2]), np.array([1, 2]), offsets, np.full(2, 40.0), np.full(2, 3.0))
+    held.set_grips(path[None], np.array([0, 2]), np.array([1, 2]), offsets, np.full(2, 40.0), np.full(2, 3.0))
     plan = alone(held, count=4)
     x, v, t, h = rng.standard_normal((3, 4)), rng.standard_normal((3, 4)), 0.4 * T, 1e-7
     energies = [plan.energies(t + step, x + step * v, None)[1] for step in (h, -h)]
@@ -132,7 +132,7 @@ def test_grips_of_one_particle_add_up_in_any_order():
     paths = [planned(0.0, poses[g], rng.standard_normal(6), np.zeros(6), poses[g + 3])[0] for g in range(3)]
     particles, starts = np.array([5, 0, 3, 5, 1, 0, 5]), np.array([0, 2, 3, 7])
     stiffness, damping = rng.uniform(10, 50, 7), rng.uniform(0.1, 2.0, 7)
-    held.hold(np.array(paths), starts, particles, rng.standard_normal((7, 3)), stiffness, damping)
+    held.set_grips(np.array(paths), starts, particles, rng.standard_normal((7, 3)), stiffness, damping)
     x, v = rng.standard_normal((3, 6)), rng.standard_normal((3, 6))
     plan, (expected, booked) = alone(held, count=6), laws.grips(0.3 * T, x, v, held)
     assert force(plan, x, v, 0.3 * T) == pytest.approx(expected.force, rel=1e-11)
@@ -145,9 +145,9 @@ def test_grasped_particles_may_change_and_none_gives_no_force():
     plan = alone(held, count=3)
     assert not force(plan, x).any()
     single_grip = (held.paths, np.array([0, 1]), np.array([2]), np.zeros((1, 3)), np.array([7.0]), np.array([0.0]))
-    held.hold(*single_grip)
+    held.set_grips(*single_grip)
     assert force(plan, x)[:, 2] == pytest.approx(-7.0 * x[:, 2])
-    held.hold(
+    held.set_grips(
         held.paths, np.zeros(2, dtype=np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty(0), np.empty(0)
     )
     assert not force(plan, x).any()

@@ -141,7 +141,7 @@ class _Cliff(Force):
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         f[0] += np.where(x[0] > 0.0, 1e6, 0.0)
 
-    def supply(self, t: float, x: Array, v: Array) -> float:
+    def external_power(self, t: float, x: Array, v: Array) -> float:
         return 1e6 * float(np.sum(np.maximum(v[0], 0.0), where=x[0] > 0.0))
 
 

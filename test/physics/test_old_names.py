@@ -9,13 +9,17 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import cloth_sim_ros
-from cloth_sim_ros import Extrapolated, Scene, Simulation
+from cloth_sim_ros import Extrapolated, Force, Model, Scene, Simulation
 from cloth_sim_ros.physics.old_names import with_old_arguments, with_old_names
+from cloth_sim_ros.scene.robot.pad_stops import PadStops
 from cloth_sim_ros.simulation.energy_watch import EnergyReport
 
+Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
 #: A row of the migration page: class, old and new name.
 ROW = re.compile(r"^\| `(\w+)\.(\w+)` \| `(\w+)` \| \w", re.MULTILINE)
@@ -65,8 +69,28 @@ def test_old_names_of_a_simulation_and_its_frame_work() -> None:
 
 def test_migration_page_lists_members_that_exist() -> None:
     rows = ROW.findall((ROOT / "docs" / "migration.md").read_text(encoding="utf-8"))
-    assert len(rows) == 30
+    assert len(rows) == 34
     for class_name, old, new in rows:
-        public_class = EnergyReport if class_name == "EnergyReport" else getattr(cloth_sim_ros, class_name)
+        inner = {"EnergyReport": EnergyReport, "PadStops": PadStops}
+        public_class = inner.get(class_name) or getattr(cloth_sim_ros, class_name)
         assert old in vars(public_class)
         assert new in dir(public_class) or new in inspect.getsource(public_class)
+
+
+def test_force_that_overrides_supply_still_adds_power() -> None:
+    with pytest.warns(DeprecationWarning, match="method supply of Pump is now external_power"):
+
+        class Pump(Force):
+            name = "pump"
+
+            def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+                f[2] += 1.0
+
+            def supply(self, t: float, x: Array, v: Array) -> float:
+                return float(v[2].sum())
+
+    plan: Any = cloth_sim_ros.compile(Model([1.0, 2.0], [Pump()]))
+    x, v = np.zeros((3, 2)), np.ones((3, 2))
+    assert plan.external_power(0.0, x, v) == 2.0
+    with pytest.warns(DeprecationWarning, match=r"Plan\.supply is now external_power"):
+        assert plan.supply(0.0, x, v) == 2.0

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_sim_ros.engine.binding import PATH_NUMBERS, doubles
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, float64_address
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model.forces.grips import Grips
@@ -33,7 +33,7 @@ def test_a_long_run_with_grippers_needs_no_memory_for_its_steps(gridded):
     grips = Grips(4)
     paths = np.zeros((4, PATH_NUMBERS))
     paths[:, 16] = 1.0
-    grips.hold(paths, np.arange(5), np.arange(4), np.zeros((4, 3)), np.ones(4), np.zeros(4))
+    grips.set_grips(paths, np.arange(5), np.arange(4), np.zeros((4, 3)), np.ones(4), np.zeros(4))
     springs = GridSprings(2, 2, [GridFamily(name="right", stiffness=1.0, rest_length=1.0)])
     plan = compile(Model(np.ones(4), [springs if gridded else springs.pair_springs, grips]))
     x = np.zeros((3, 4))
@@ -54,14 +54,14 @@ def test_a_plan_is_not_copied(again):
 def test_an_array_that_is_not_aligned_is_refused():
     odd = np.frombuffer(bytearray(8 * 6 + 1), dtype=np.float64, count=6, offset=1).reshape(3, 2)
     with pytest.raises(ValueError, match="no multiple of 8"):
-        doubles("x", odd, (3, 2))
+        float64_address("x", odd, (3, 2))
 
 
 def test_read_only_array_is_read_in_place():
     fixed = np.zeros((3, 2))
-    address = doubles("x", fixed, (3, 2))
+    address = float64_address("x", fixed, (3, 2))
     fixed.flags.writeable = False
-    assert doubles("x", fixed, (3, 2)) == address == fixed.ctypes.data
+    assert float64_address("x", fixed, (3, 2)) == address == fixed.ctypes.data
 
 
 def test_a_sheet_without_families_has_no_listed_springs():

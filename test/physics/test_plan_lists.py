@@ -201,6 +201,6 @@ def test_grip_on_a_missing_particle_is_refused():
     simulation = Simulation(Scene.from_parameters({**SHEET, "grippers": ["one"]}, files=FILES))
     grips = simulation.plan.grips
     ones = np.ones(1)
-    grips.hold(grips.paths, np.array([0, 1]), np.array([400]), np.zeros((1, 3)), ones, ones)
+    grips.set_grips(grips.paths, np.array([0, 1]), np.array([400]), np.zeros((1, 3)), ones, ones)
     with pytest.raises(ValueError, match=r"held particles names particle 400; there are 400"):
         simulation.plan.spectral_bounds(simulation.state.x)

@@ -173,7 +173,7 @@ class Wind(Force):
     def add_force(self, t, x, v, f):
         f[0] += 2.0 + t - 0.5 * v[0]
 
-    def supply(self, t, x, v):
+    def external_power(self, t, x, v):
         return (2.0 + t) * float(v[0].sum())
 
     def dissipation(self, t, x, v):

@@ -93,7 +93,7 @@ class Carried:
     def hold(self, prescribed: np.ndarray | None) -> None:
         offsets, count = to_body_frame(self.path[0, [1, 2, 3, 13, 14, 15, 16]], self.x[:, self.held]), len(self.held)
         stiffness, damping = np.full(count, 1000.0), np.full(count, 0.5)
-        self.grips.hold(self.path, np.array([0, count]), self.held, offsets, stiffness, damping, prescribed)
+        self.grips.set_grips(self.path, np.array([0, count]), self.held, offsets, stiffness, damping, prescribed)
 
     def points(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m] and velocities [m/s] of the held points, (3, 4) each, by the path of the gripper."""
@@ -173,7 +173,7 @@ def free_particle(path: np.ndarray, offset: np.ndarray) -> Plan:
     grips = Grips(1)
     plan = compile(Model([MASS], [Gravity(GRAVITY), grips]))
     unit = np.array([1.0])
-    grips.hold(path, np.array([0, 1]), np.array([0]), offset[None, :], unit, unit, np.array([True]))
+    grips.set_grips(path, np.array([0, 1]), np.array([0]), offset[None, :], unit, unit, np.array([True]))
     return plan
 
 
@@ -213,7 +213,7 @@ def test_motion_of_prescribed_particles_is_no_activity(listed: bool) -> None:
     count = ROWS * COLUMNS
     offsets, ones = to_body_frame(sheet.path[0, [1, 2, 3, 13, 14, 15, 16]], sheet.x), np.ones(count)
     every = np.ones(count, dtype=bool)
-    sheet.grips.hold(sheet.path, np.array([0, count]), np.arange(count), offsets, ones, ones, every)
+    sheet.grips.set_grips(sheet.path, np.array([0, count]), np.arange(count), offsets, ones, ones, every)
     before = sheet.v - 1.0, FRAME
     start = sheet.x, sheet.v
     runs, result = sheet.plan.runs(0.0, FRAME, start, (20,), weights=[1.0], before=before)
@@ -246,7 +246,9 @@ def test_error_of_a_python_force_reaches_wrenches() -> None:
 
     grips = Grips(1)
     path = turning_path(np.zeros(3))
-    grips.hold(path, np.array([0, 1]), np.array([0]), np.zeros((1, 3)), np.ones(1), np.ones(1), np.ones(1, dtype=bool))
+    grips.set_grips(
+        path, np.array([0, 1]), np.array([0]), np.zeros((1, 3)), np.ones(1), np.ones(1), np.ones(1, dtype=bool)
+    )
     plan = compile(Model([MASS], [Broken(), grips]))
     with pytest.raises(ZeroDivisionError, match="of the force"):
         plan.grip_wrench_rates(0.0, np.zeros((3, 1)), np.zeros((3, 1)))
@@ -394,7 +396,7 @@ def test_contradictory_grips_are_refused(prescribed: list[bool], particles: list
     sheet = Carried()
     some = np.ones(2)
     flags = np.array(prescribed)
-    sheet.grips.hold(sheet.path, np.array([0, 2]), np.array(particles), np.zeros((2, 3)), some, some, flags)
+    sheet.grips.set_grips(sheet.path, np.array([0, 2]), np.array(particles), np.zeros((2, 3)), some, some, flags)
     with pytest.raises(ValueError, match=message):
         sheet.plan.spectral_bounds(sheet.x)
 

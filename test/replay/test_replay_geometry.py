@@ -129,7 +129,7 @@ def test_anchors_are_those_of_the_scene(anchors: list[str]) -> None:
     scene = Scene.from_parameters({"cloth.resolution": [4, 6], "cloth.anchors": anchors})
     text = parameter_file.dump(scene.parameters())
     opening = read_opening(text, scene.starting_state().to_bytes())
-    assert opening.anchored(4, 6).tolist() == scene.anchored_particles()
+    assert opening.anchored_particles(4, 6).tolist() == scene.anchored_particles()
 
 
 def test_invalid_opening_is_refused() -> None:
@@ -157,7 +157,7 @@ def test_replayed_gripper_poses_equal_simulation(tmp_path: Path, seed: int) -> N
         placed.append([simulation.grippers.is_placed(g) for g in count])
     with SessionReader(maker.finish()) as reader:
         opening = read_opening(reader.scene_yaml, reader.state)
-        tracks = GripperTracks(opening, opening.anchored(*scene.shape))
+        tracks = GripperTracks(opening, opening.anchored_particles(*scene.shape))
         before = opening.positions
         for k, recorded in enumerate(reader.clouds()):
             assert recorded.frame is not None
@@ -167,7 +167,7 @@ def test_replayed_gripper_poses_equal_simulation(tmp_path: Path, seed: int) -> N
                 assert (track.pose is not None) == placed[k][g]
                 if track.pose is not None:
                     np.testing.assert_allclose(track.pose, poses[k][g], atol=1e-15)
-                assert track.held.tolist() == held[k][g]
+                assert track.grasped.tolist() == held[k][g]
             before = recorded.cloud.xyz
     assert any(any(frame) for frame in held)
 

@@ -123,14 +123,14 @@ def replayed(path: Path, scene: Scene) -> list[tuple[np.ndarray | None, list[int
     frames = []
     with SessionReader(path) as reader:
         opening = read_opening(reader.scene_yaml, reader.state)
-        tracks = GripperTracks(opening, opening.anchored(*scene.shape))
+        tracks = GripperTracks(opening, opening.anchored_particles(*scene.shape))
         before = opening.positions
         for recorded in reader.clouds():
             assert recorded.frame is not None
             tracks.advance(recorded.frame, lambda before=before: before)
             track = tracks.tracks[scene.gripper_names[0]]
-            assert track.held is not None
-            frames.append((None if track.pose is None else track.pose.copy(), track.held.tolist()))
+            assert track.grasped is not None
+            frames.append((None if track.pose is None else track.pose.copy(), track.grasped.tolist()))
             before = recorded.cloud.xyz
     return frames
 

@@ -52,7 +52,7 @@ class Node:
 
         self.scans.append(scan)
         recording = rr.RecordingStream("test")
-        recording.save(live_main.numbered(self.files[0], len(self.scans)))
+        recording.save(live_main.numbered_path(self.files[0], len(self.scans)))
         return recording
 
     def start(self, triangles: np.ndarray = TRIANGLES, vertices: np.ndarray = GRID, **parameters: Any) -> None:

@@ -84,10 +84,10 @@ def test_mesh_obstacle_is_drawn_by_its_triangles(tmp_path: Path) -> None:
     recording.save(out)
     markers = ObstacleMarkers([rock], frame_id="world", node="/cloth")
     for k in range(3):
-        view.show(Moment(0.1 * k, k, k), markers.serialized(np.array([[0.1 * k, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), k))
+        view.show(Moment(0.1 * k, k, k), markers.serialize(np.array([[0.1 * k, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), k))
     view.show(
         Moment(0.3, 3, 3),
-        ObstacleMarkers([], frame_id="world", node="/cloth", removed=["rock"]).serialized(np.zeros((0, 7)), 3),
+        ObstacleMarkers([], frame_id="world", node="/cloth", removed=["rock"]).serialize(np.zeros((0, 7)), 3),
     )
     for table_rows in tables.values():
         table_rows.send(recording)

@@ -12,7 +12,7 @@ from support.line_log import LineLog
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, checked
+from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, to_ros_time
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.ros.timing.stepper import Stepper
@@ -184,10 +184,10 @@ def test_bad_parameters_and_unstable_motion_in_one_frame(monkeypatch: pytest.Mon
     [(-5, 0, "-5 s and 0 ns; a time is not negative"), (5, 4_000_000_000, "nanoseconds are below 1000000000")],
 )
 def test_invalid_stamps_are_refused(sec: int, nanosec: int, reason: str) -> None:
-    assert checked(0, 0) == 0
-    assert checked(5, 999_999_999) == 6 * SECOND - 1
+    assert to_ros_time(0, 0) == 0
+    assert to_ros_time(5, 999_999_999) == 6 * SECOND - 1
     with pytest.raises(StampError, match=reason):
-        checked(sec, nanosec)
+        to_ros_time(sec, nanosec)
 
 
 def script(*steps: dict[str, Any], **entries: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, explain
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, explain_error
 
 COMMANDS = {
     "cloth_sim": "cloth_sim_ros.ros.main",
@@ -75,12 +75,12 @@ def test_security_without_keystore_gives_one_sentence(tmp_path: Path) -> None:
 
 
 def test_middleware_without_security_is_explained() -> None:
-    explanation = explain(
+    explanation = explain_error(
         "error creating node: This Fast DDS version doesn't have the security libraries, Please compile"
     )
     assert "ROS_SECURITY_ENABLE is true, and the Fast DDS of this environment was built without security" in explanation
     assert "unset ROS_SECURITY_ENABLE" in explanation
-    assert explain("failed to parse arguments") == ""
+    assert explain_error("failed to parse arguments") == ""
 
 
 @pytest.mark.parametrize("command", COMMANDS)

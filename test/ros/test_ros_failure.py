@@ -43,7 +43,7 @@ PLACES = {
     "event": (Grippers, "set_target"),
     "record": (Recorder, "record"),
     "publish": (ClothTopics, "send"),
-    "state": (States, "show"),
+    "state": (States, "send"),
 }
 
 

@@ -204,7 +204,7 @@ def test_canceled_goal_stops_pads(client: Client, control_msgs: Any) -> None:
         cloth.tick(10)
         pinching = cloth.simulation.pinching
         assert pinching is not None
-        assert pinching.drive("gripper")[0] == pytest.approx(result.position, abs=5e-4)
+        assert pinching.drive_state("gripper")[0] == pytest.approx(result.position, abs=5e-4)
         commander.close()
 
 

@@ -23,8 +23,8 @@ TRIANGLES = np.array([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4]])
 @pytest.mark.parametrize("frame_id", ["w", "wo", "wor", "worl", "world"])
 def test_cloud(frame_id: str) -> None:
     cloud = CloudMessage(frame_id=frame_id, height=2, width=3)
-    cloud.serialized(X + 1.0, 1)
-    data = cloud.serialized(X, STAMP)
+    cloud.serialize(X + 1.0, 1)
+    data = cloud.serialize(X, STAMP)
     message = deserialize_message(data, PointCloud2)
     assert (message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec) == (
         frame_id, 12, 345_678_901,
@@ -41,7 +41,7 @@ def test_cloud(frame_id: str) -> None:
 
 def test_cloud_with_velocities() -> None:
     cloud = CloudMessage(frame_id="world", height=2, width=3, velocity=True)
-    message = deserialize_message(cloud.serialized(X, STAMP, X - 1.0), PointCloud2)
+    message = deserialize_message(cloud.serialize(X, STAMP, X - 1.0), PointCloud2)
     assert (message.point_step, message.row_step) == (24, 72)
     assert [(field.name, field.offset, field.datatype) for field in message.fields[3:]] == [
         ("vx", 12, 7), ("vy", 16, 7), ("vz", 20, 7),
@@ -55,14 +55,14 @@ def test_cloud_is_that_of_the_encoder_without_ros(double: bool) -> None:
     fields = {"velocity": True, "normal": True, "ids": True, "double": double}
     expected = CloudEncoder(frame_id="world", height=2, width=3, **fields).encode(X, STAMP, X - 1.0, X + 1.0)
     cloud = CloudMessage(frame_id="world", height=2, width=3, **fields)
-    data = cloud.serialized(X, STAMP, X - 1.0, X + 1.0)
+    data = cloud.serialize(X, STAMP, X - 1.0, X + 1.0)
     assert len(data) == len(expected)
     assert deserialize_message(data, PointCloud2) == deserialize_message(expected, PointCloud2)
 
 
 def test_cloud_in_double_precision() -> None:
     cloud = CloudMessage(frame_id="world", height=2, width=3, velocity=True, double=True)
-    message = deserialize_message(cloud.serialized(X, STAMP, X - 1.0), PointCloud2)
+    message = deserialize_message(cloud.serialize(X, STAMP, X - 1.0), PointCloud2)
     assert (message.point_step, message.row_step) == (48, 144)
     assert [(field.name, field.offset, field.datatype) for field in message.fields] == [
         ("x", 0, 8), ("y", 8, 8), ("z", 16, 8), ("vx", 24, 8), ("vy", 32, 8), ("vz", 40, 8),
@@ -82,7 +82,7 @@ def test_topology(count: int) -> None:
 @pytest.mark.parametrize("frame_id", ["w", "wo", "wor", "worl"])
 def test_marker(name: str, frame_id: str) -> None:
     marker = SurfaceMarker(frame_id=frame_id, name=name, triangles=TRIANGLES)
-    message = deserialize_message(marker.serialized(X, STAMP), Marker)
+    message = deserialize_message(marker.serialize(X, STAMP), Marker)
     assert (message.ns, message.header.frame_id, message.header.stamp.sec) == (name, frame_id, 12)
     assert message.type == Marker.TRIANGLE_LIST
     assert (message.scale.x, message.pose.orientation.w, message.color.a) == (1.0, 1.0, 1.0)

@@ -51,8 +51,8 @@ def publisher(cloth: ClockedCloth, topic: str) -> Any:
 def test_surface_marker_is_built_for_subscribers_only(client: Client) -> None:
     with ClockedCloth(client, {"frame_id": "map"}) as cloth:
         marker = cloth.node.outputs.cloth.marker
-        stamps, make = [], marker.serialized
-        marker.serialized = lambda x, stamp: stamps.append(stamp) or make(x, stamp)
+        stamps, make = [], marker.serialize
+        marker.serialize = lambda x, stamp: stamps.append(stamp) or make(x, stamp)
         clouds: list[PointCloud2] = []
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 100)
         client.spin_until(

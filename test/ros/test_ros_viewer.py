@@ -150,7 +150,7 @@ def test_feed_shows_a_bag_that_has_no_parameters(ros_domain: int, monkeypatch: p
         client.spin_until(points.get_subscription_count, description="the feed's subscription")
 
         def is_forwarded() -> bool:
-            points.publish(cloud.serialized(GRID.T, 0))
+            points.publish(cloud.serialize(GRID.T, 0))
             return any(topic == "/cloth_sim/points" for topic, _ in feed.sent)
 
         client.spin_until(is_forwarded, description="a cloud")

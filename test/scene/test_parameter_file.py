@@ -143,7 +143,7 @@ def test_repeated_values_are_written_without_aliases() -> None:
     ],
 )
 def test_plain_value_is_parsed_as_in_c(text: str, value: object) -> None:
-    parsed = ros_yaml.plain(text)
+    parsed = ros_yaml.parse_plain_scalar(text)
     assert (parsed, type(parsed)) == (value, type(value))
 
 

@@ -87,7 +87,9 @@ def test_random_trees_are_where_scipy_puts_them() -> None:
                 motion[:3, :3] = Rotation.from_rotvec(unit * q[k]).as_matrix()
             expected.append(expected[parent] @ origin @ motion)
         kinematics = Kinematics(parse(f'<robot name="r">{"".join(links)}</robot>'))
-        bodies = kinematics.bodies(kinematics.positions({f"j{k}": value for k, value in q.items()}), np.eye(4))
+        bodies = kinematics.body_transforms(
+            kinematics.joint_positions({f"j{k}": value for k, value in q.items()}), np.eye(4)
+        )
         for k, transform in enumerate(expected):
             body, placement = kinematics.placements[f"l{k}"]
             assert np.abs(bodies[body] @ placement - transform).max() < 1e-13
@@ -103,7 +105,7 @@ def test_poses_keep_rotations_of_half_a_turn() -> None:
 def test_missing_joint_stays_within_its_limits() -> None:
     text = ARM.replace('lower="-2.0"', 'lower="0.5"')
     kinematics = Kinematics(parse(text))
-    assert kinematics.positions({"elbow": 1.0}).tolist() == [0.5, 1.0, 0.0, 0.0]
+    assert kinematics.joint_positions({"elbow": 1.0}).tolist() == [0.5, 1.0, 0.0, 0.0]
 
 
 def test_mimic_of_a_mimic_follows_with_both_offsets() -> None:
@@ -115,7 +117,7 @@ def test_mimic_of_a_mimic_follows_with_both_offsets() -> None:
         for k, mimic in enumerate(mimics)
     )
     kinematics = Kinematics(parse(f'<robot name="r">{links}{joints}</robot>'))
-    bodies = kinematics.bodies(np.array([0.3]), np.eye(4))
+    bodies = kinematics.body_transforms(np.array([0.3]), np.eye(4))
     assert np.diff(bodies[:, 0, 3]).tolist() == pytest.approx([0.3, 0.7, 0.3])
 
 
@@ -124,9 +126,9 @@ def test_reach_bounds_every_pose_of_every_link() -> None:
     kinematics = Kinematics(parse(ARM))
     for _ in range(200):
         positions = rng.uniform([-2.0, -2.8, -3.0, 0.0], [2.0, 2.8, 3.0, 0.04])
-        bodies = kinematics.bodies(positions, np.eye(4))
+        bodies = kinematics.body_transforms(positions, np.eye(4))
         for body in range(1, len(bodies)):
-            centre, radius = kinematics.reach(body, 0.0)
+            centre, radius = kinematics.bounding_ball(body, 0.0)
             assert np.linalg.norm(bodies[body][:3, 3] - centre) <= radius + 1e-12
 
 
@@ -344,24 +346,24 @@ def test_pads_have_the_friction_of_grippers_and_stop(gap: float | None) -> None:
     for finger in np.linspace(0.03, 0.0, 20):
         positions[3] = finger
         positions[0] += 0.01
-        stopped = stops.stopped(positions)
+        stopped = stops.limit_positions(positions)
         assert stopped[:3].tolist() == positions[:3].tolist()
     # Half the distance between the faces, which are at y = 0 of the closed fingers.
     half_gap = 0.5 * (gap or 1.4) * scene.contact.thickness
     assert stopped[3] == pytest.approx(half_gap, rel=0.05)
     assert stopped[3] >= half_gap
     positions[3] = 0.01
-    assert stops.stopped(positions).tolist() == positions.tolist()
+    assert stops.limit_positions(positions).tolist() == positions.tolist()
 
 
 def test_held_pads_need_three_forward_kinematics(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
     stops, calls, poses = PadStops(scene, links), [], links.poses
     for finger in (0.03, *np.zeros(20)):
-        stopped = stops.stopped(np.array([0.2, 0.3, 0.4, finger]))
+        stopped = stops.limit_positions(np.array([0.2, 0.3, 0.4, finger]))
     monkeypatch.setattr(links, "poses", lambda positions: calls.append(positions) or poses(positions))
     # The arm goes on, and the command keeps the fingers closed.
-    assert stops.stopped(np.array([0.21, 0.3, 0.4, 0.0]))[3] == stopped[3]
+    assert stops.limit_positions(np.array([0.21, 0.3, 0.4, 0.0]))[3] == stopped[3]
     assert len(calls) == 3
 
 
@@ -387,12 +389,12 @@ def test_pads_of_two_hands_leave_the_arms_free() -> None:
     stops = PadStops(scene, links)
     index = {name: k for k, name in enumerate(links.joint_names)}
     positions = np.zeros(len(index))
-    stops.stopped(positions)
+    stops.limit_positions(positions)
     positions[index["left_joint"]], positions[index["right_joint"]] = -0.17, 0.17
-    assert stops.stopped(positions).tolist() == positions.tolist()
+    assert stops.limit_positions(positions).tolist() == positions.tolist()
     # Fingers of one hand still stop.
     positions[index["left_0_joint"]] = -0.02
-    assert -0.02 < stops.stopped(positions)[index["left_0_joint"]] < -0.01
+    assert -0.02 < stops.limit_positions(positions)[index["left_0_joint"]] < -0.01
 
 
 def test_single_pads_of_two_arms_leave_the_arms_free() -> None:
@@ -411,10 +413,10 @@ def test_single_pads_of_two_arms_leave_the_arms_free() -> None:
     scene, links = robot_scene(sliding_fingers(*joints), values)
     stops, names = PadStops(scene, links), list(links.joint_names)
     positions = np.zeros(len(names))
-    stops.stopped(positions)
+    stops.limit_positions(positions)
     positions[names.index("left_0_joint")], positions[names.index("right_0_joint")] = -0.09, 0.09
     for _ in range(3):
-        assert stops.stopped(positions).tolist() == positions.tolist()
+        assert stops.limit_positions(positions).tolist() == positions.tolist()
         positions[[names.index("left_1_joint"), names.index("right_1_joint")]] += 0.01
 
 
@@ -424,23 +426,23 @@ def test_pads_of_one_finger_leave_its_joints_free() -> None:
     scene, links = robot_scene(sliding_fingers(*joints), values)
     stops, index = PadStops(scene, links), links.joint_names.index("tip_joint")
     positions = np.zeros(3)
-    stops.stopped(positions)
+    stops.limit_positions(positions)
     positions[index] = 0.01
-    assert stops.stopped(positions).tolist() == positions.tolist()
+    assert stops.limit_positions(positions).tolist() == positions.tolist()
     # The finger still stops before the thumb.
     positions[links.joint_names.index("near_joint")] = -0.1
-    assert stops.stopped(positions)[links.joint_names.index("near_joint")] > -0.08
+    assert stops.limit_positions(positions)[links.joint_names.index("near_joint")] > -0.08
 
 
 def test_pads_stop_at_the_thickness_of_the_present_scene() -> None:
     scene, links = robot_scene(ARM, {**AT, "robot.pads": ["left_finger", "right_finger"]})
     stops = PadStops(scene, links)
-    stops.stopped(np.array([0.0, 0.0, 0.0, 0.03]))
+    stops.limit_positions(np.array([0.0, 0.0, 0.0, 0.03]))
     stops.update(attrs.evolve(scene, contact=attrs.evolve(scene.contact, thickness=0.008)))
     # Within a hundredth of the step.
-    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.7 * 0.008, abs=0.0003)
+    assert stops.limit_positions(np.zeros(4))[3] == pytest.approx(0.7 * 0.008, abs=0.0003)
     stops.update(scene)
-    assert stops.stopped(np.zeros(4))[3] == pytest.approx(0.7 * scene.contact.thickness, rel=0.05)
+    assert stops.limit_positions(np.zeros(4))[3] == pytest.approx(0.7 * scene.contact.thickness, rel=0.05)
 
 
 def test_joint_of_several_degrees_of_freedom_is_reported() -> None:

@@ -89,7 +89,7 @@ def released(strip: Scene, *curvatures: float) -> Simulation:
     for curvature in curvatures:
         if plan.plastic is not None:
             x = np.ascontiguousarray(bent(strip, curvature).T)
-            memory = {PLASTIC_LENGTHS_KEY: plan.plastic.returned(x, memory)[0]}
+            memory = {PLASTIC_LENGTHS_KEY: plan.plastic.return_mapping(x, memory)[0]}
     state = State(bent(strip, curvatures[-1]), memory=memory, cloth=strip.starting_state().cloth)
     return Simulation(strip, state)
 

@@ -52,7 +52,7 @@ def moved(cloth: Simulation, *grasps: Grasp, frames: int = 80) -> tuple[list[Gra
 
 def gap(cloth: Simulation) -> float:
     assert cloth.pinching is not None
-    return cloth.pinching.drive("gripper")[0]
+    return cloth.pinching.drive_state("gripper")[0]
 
 
 @pytest.mark.parametrize("integrator", ["auto", "implicit"])
@@ -85,10 +85,10 @@ def test_force_and_speed_are_limits() -> None:
     # 15 mm for each pad at 0.05 m/s take 18 frames.
     assert (fast, slow) == (pytest.approx(19, abs=2), pytest.approx(37, abs=2))
     assert cloth.pinching is not None
-    assert cloth.pinching.drive("gripper")[2] == pytest.approx(1.0, rel=1e-3)
+    assert cloth.pinching.drive_state("gripper")[2] == pytest.approx(1.0, rel=1e-3)
     # Above those of the scene they change nothing.
     moved(cloth, Grasp("gripper", True, 0.02, force=50.0, speed=5.0))
-    assert cloth.pinching.drive("gripper")[2] == pytest.approx(2.0, rel=1e-3)
+    assert cloth.pinching.drive_state("gripper")[2] == pytest.approx(2.0, rel=1e-3)
 
 
 def test_plain_grasp_replaces_opening() -> None:
@@ -169,7 +169,7 @@ def test_limited_drive_keeps_mass_of_cloth() -> None:
         gripper="hand", size=(0.1, 0.02, 0.1), friction=(0.5, 0.5), force=2.0, speed=0.05, opening=0.02,
         inertia=drive_inertia(0.01, 2.0, 0.05),
     )  # fmt: skip
-    limited = jaw.limited(1.0, 0.02)
+    limited = jaw.with_limits(1.0, 0.02)
     assert (limited.force, limited.speed) == (1.0, 0.02)
     assert limited.inertia == pytest.approx(drive_inertia(0.01, 1.0, 0.02), rel=1e-12)
-    assert jaw.limited(0.0, 0.0) is jaw
+    assert jaw.with_limits(0.0, 0.0) is jaw

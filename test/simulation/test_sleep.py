@@ -280,7 +280,7 @@ def test_energy_report_includes_kinetic_energy_lost_to_sleep():
     moving = watched.state.copy()
     moving.v[0] = 3.0
     kinetic = 4.5 * watched.model.masses.sum()
-    stopped = watch.stop(moving)
+    stopped = watch.add_sleep_loss(moving)
     assert (stopped.total, stopped.dissipated, stopped.residual) == pytest.approx((-kinetic, kinetic, 0.0), rel=1e-12)
 
 

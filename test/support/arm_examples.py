@@ -36,4 +36,4 @@ def arm_events(scene: Scene, links: RobotLinks, joints: Any) -> Iterator[list[Ev
     """Yield the events of each frame from `START` on, to the end of the path."""
     stops = PadStops(scene, links)
     for t in np.arange(START, joints.x[-1], scene.period):
-        yield [MoveObstacles(links.names, links.poses(stops.stopped(joints(t))))]
+        yield [MoveObstacles(links.names, links.poses(stops.limit_positions(joints(t))))]

@@ -49,9 +49,9 @@ def build_program(name: str, *, sanitize: bool = False) -> Path:
     unit, program = folder / "unit.cpp", folder / "tests"
     # The main program has nothing of the engine, so it needs none of these flags and no optimization.
     objects = [FOLDER / f"main{suffix}.o", folder / "unit.o"]
-    with build.locked(FOLDER):
+    with build.lock_folder(FOLDER):
         _compile([*common, "-O0", str(SOURCES / "main.cpp")], version, objects[0])
-    with build.locked(folder):
+    with build.lock_folder(folder):
         unit.write_text("".join(f'#include "{name}.cpp"\n' for name in test_files()))
         _compile([*common, *checked, str(unit)], version, objects[1])
         if not program.exists() or program.stat().st_mtime_ns < max(path.stat().st_mtime_ns for path in objects):

@@ -109,7 +109,7 @@ def build_package(name: str, definitions: Mapping[str, str]) -> tuple[Path | Non
     folder = FOLDER / f"{name}-{hashlib.sha256(chr(0).join(parts).encode()).hexdigest()[:16]}"
     folder.mkdir(parents=True, exist_ok=True)
     done = folder / "done"
-    with build.locked(folder):
+    with build.lock_folder(folder):
         if not done.exists():
             # A process of its own: the generators read AMENT_PREFIX_PATH and change what the process has imported.
             arguments = [sys.executable, "-m", "support.interface_packages", name, str(folder)]

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grips import Grips
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, damping_coefficient
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.surface import Surface
@@ -98,7 +98,7 @@ def corner_drop(resolution: int) -> Problem:
 def chain() -> Problem:
     """S2: 24 particles on a line between two anchors, a smooth longitudinal wave; exact by normal modes."""
     count, stiffness, mass, k_d0 = 24, 200.0, 0.01, 0.1
-    damping = float(lecture_damping(k_d0, stiffness, mass))
+    damping = float(damping_coefficient(k_d0, stiffness, mass))
     spacing = 1.0 / (count + 1)
     places = np.arange(count + 2) * spacing
     bump = 0.2 * spacing * np.exp(-0.5 * ((np.arange(count + 2) - 8.0) / 2.0) ** 2)
@@ -168,8 +168,8 @@ def carried(resolution: int = 16) -> Problem:
         row[1:4], row[16] = grasp_position, 1.0
         row[7:10], row[10:13] = 3.0 * travel / duration**2, -2.0 * travel / duration**3
         k = np.full(corner.size, 300.0)
-        damping = np.asarray(lecture_damping(0.5, k, sheet.mass))
-        grips.hold(
+        damping = np.asarray(damping_coefficient(0.5, k, sheet.mass))
+        grips.set_grips(
             row[None],
             np.array([0, corner.size]),
             corner.astype(np.int64),

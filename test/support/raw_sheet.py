@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, damping_coefficient
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import GridFamily
 from cloth_sim_ros.physics.plan.plan import Plan, compile
@@ -68,7 +68,7 @@ class RawSheet:
         families = []
         for name, distance, modulus in kinds:
             rest_length, k_s = self.relative_rest_length * distance * h, self.stiffness * modulus * h
-            damping = float(lecture_damping(self.k_d0, k_s / rest_length, self.mass))
+            damping = float(damping_coefficient(self.k_d0, k_s / rest_length, self.mass))
             families.append(GridFamily(name=name, stiffness=k_s, rest_length=rest_length, damping=damping))
         return families
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.binding import FAMILIES, doubles
+from cloth_sim_ros.engine.binding import FAMILIES, float64_address
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grid_springs import FAMILY_ENDS, GridSprings
 from cloth_sim_ros.physics.model.parts import GridFamily
@@ -82,7 +82,7 @@ class ReferenceKernel:
         """Copy in positions [m] and velocities [m/s], both (3, rows * columns) float64."""
         rows, columns = self.springs.rows, self.springs.columns
         for name, array, target in (("x", x, self._x), ("v", v, self._v)):
-            doubles(name, array, (3, rows * columns))
+            float64_address(name, array, (3, rows * columns))
             for c in range(3):
                 padded = target[c * self._size : c * self._size + rows * self._pitch].reshape(rows, self._pitch)
                 padded[:, :columns] = array[c].reshape(rows, columns)

@@ -282,7 +282,7 @@ class SessionMaker:
         solids, poses = solids_and_poses(self.simulation.obstacles, self.simulation.pinching)
         names = [solid.name for solid in solids]
         gone, self._marked = [name for name in self._marked if name not in names], names
-        return ObstacleMarkers(solids, frame_id="world", node=NODE, removed=gone).serialized(poses, now)
+        return ObstacleMarkers(solids, frame_id="world", node=NODE, removed=gone).serialize(poses, now)
 
     def split(self) -> None:
         """Continue in a new file that opens with a snapshot of the current state."""

@@ -50,6 +50,13 @@ DIALECT = re.compile(
     r"|those which|as it were|so often|as may be|what is (?:taken|held|told|made)|one more \w+ comes|where there is"
     r"|where it is)\b"
 )
+#: Verbs in the third person that no docstring of a class begins with: a class is a thing.
+CLASS_VERBS = _words(
+    "Accumulates Adds Advances Builds Captures Chooses Collects Commands Compares Compiles Computes Converts Decodes"
+    " Detects Draws Encodes Executes Finds Forwards Holds Integrates Keeps Logs Makes Maps Measures Moves Owns Pauses"
+    " Plays Publishes Reads Receives Refuses Relaxes Renders Restores Sends Serializes Serves Sets Shows Starts Stores"
+    " Subscribes Transforms Turns Validates Waits Warns Watches Writes"
+)
 MAX_SENTENCE_WORDS = 25
 MAX_TEST_NAME = 60
 SKIPPED_FOLDERS = {"build", "install", "log", "generated", "data", "third_party", "doctest"}
@@ -142,6 +149,9 @@ class _Search:
             self._check_texts(node, where)
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 self._check_docstring(ast.get_docstring(node) or "", where, is_test)
+            opener = (ast.get_docstring(node) or "").partition(" ")[0] if isinstance(node, ast.ClassDef) else ""
+            if opener in CLASS_VERBS and file.startswith("cloth_sim_ros/"):
+                self.violations["docstrings of classes that open with a verb"].append(f"{where} {node.name}")
         for line_number, line in enumerate(source.splitlines(), 1):
             comment = re.search(r"(?:^|\s)#:? (.*)", line)
             if comment and not is_test and (match := DIALECT.search(comment.group(1))):

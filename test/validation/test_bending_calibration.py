@@ -12,7 +12,7 @@ from support.alone import force as force_of
 from cloth_sim_ros.physics.model.forces.hinge_springs import signed_lengths
 from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.model.sheets.bending import (
-    added_membrane,
+    added_membrane_stiffness,
     bending_terms,
     grid_hinge_constants,
     mesh_hinge_constants,
@@ -45,11 +45,11 @@ def test_lengths_of_a_hinge_shape_are_those_of_its_particles(kind):
     assert shape.wing_distance() == pytest.approx(np.linalg.norm(x[3::4] - x[2::4], axis=1), rel=1e-12)
     step = 1e-6
     angle = np.arctan2(shape.sine, shape.cosine)
-    up, down = shape.at(angle + step), shape.at(angle - step)
+    up, down = shape.folded(angle + step), shape.folded(angle - step)
     assert shape.length_slope(kind) == pytest.approx((up.length(kind) - down.length(kind)) / (2 * step), abs=1e-8)
     slope = (up.wing_distance() - down.wing_distance()) / (2 * step)
     assert shape.wing_distance_slope() == pytest.approx(slope, abs=1e-8)
-    folds = [shape.at(angle) for angle in np.linspace(-math.pi, math.pi, 4001)]
+    folds = [shape.folded(angle) for angle in np.linspace(-math.pi, math.pi, 4001)]
     highest = np.max([fold.length(kind) for fold in folds], axis=0)
     distances = [fold.wing_distance() for fold in folds]
     half = 0.5 * (np.max(distances, axis=0) - np.min(distances, axis=0))
@@ -199,7 +199,7 @@ def test_added_membrane_stiffness_follows_from_the_energy():
     constants = grid_hinge_constants(hinges, columns=5, spacing=(0.1, 0.2), bending_modulus=1e-3)
     opposite, _ = bending_terms("altitude", hinges, rest_positions, hinge_constants=constants)
     area = 0.4 * 0.6
-    added = added_membrane(opposite, rest_positions, area=area)
+    added = added_membrane_stiffness(opposite, rest_positions, area=area)
     strain = 1e-5
     for which, stretch in enumerate(
         [np.diag([1, 0, 0]), np.diag([0, 1, 0]), np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])]

@@ -151,7 +151,7 @@ def test_reference_gripper_motion_matches_numpy_laws(turn):
     grips = Grips(2)
     particles, offsets = np.array([0, 2, 1]), rng.normal(size=(3, 3))
     stiffness, damping = rng.uniform(1.0, 9.0, 3), rng.uniform(0.1, 0.9, 3)
-    grips.hold(paths, np.array([0, 2, 3]), particles, offsets, stiffness, damping)
+    grips.set_grips(paths, np.array([0, 2, 3]), particles, offsets, stiffness, damping)
     model = Model([1.0, 2.0, 3.0], [grips])
     system = ReferenceSystem(model)
     grasped = GripTable(

@@ -34,7 +34,7 @@ _MODULUS = "material.bending_modulus"
 
 def scaled_drapes(fabric: str, factor: float, test: DrapeTest, specimens: int, *, with_mesh_error: bool) -> DrapeSeries:
     """Return drapes of a fabric whose bending moduli are multiplied by a factor."""
-    warp, weft = read_sample(fabric).pair(_MODULUS)
+    warp, weft = read_sample(fabric).warp_and_weft(_MODULUS)
     sample = read_sample(fabric, {_MODULUS: factor * warp, f"{_MODULUS}_weft": factor * weft})
     return drape_series(sample, test, seeds=range(specimens), with_mesh_error=with_mesh_error)
 

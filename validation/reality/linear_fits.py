@@ -24,7 +24,7 @@ from cloth_sim_ros.fit.motions import MAX_LINEARIZATIONS, TOLERANCE, align_all, 
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.fit.recording import FitRecording, is_visible
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, rigid_distances, score
 from cloth_sim_ros.fit.start import motion_recording
@@ -102,7 +102,7 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
         derivatives = problem.differentiate(point, selected, steps.steps, TOLERANCE, central=True)
         if previous is not None:
             derivatives.other_slopes = previous.slopes
-        steps = steps.following(derivatives, recorded.noise_deviations(derivatives))
+        steps = steps.next_steps(derivatives, recorded.noise_deviations(derivatives))
         if previous is not None and not steps.is_rough:
             break
         previous = derivatives
@@ -153,7 +153,7 @@ class LossyClouds:
         recordings = [samples.record_motion(k, exact[k], seed) for k in motions]
         problem = prepare(recordings, parameters, pool)
         rows = [
-            (np.rint(recording.times * samples.CLOUD_RATE).astype(np.int64), [visible(c) for c in recording.clouds])
+            (np.rint(recording.times * samples.CLOUD_RATE).astype(np.int64), [is_visible(c) for c in recording.clouds])
             for recording in recordings
         ]
         # Trajectories count frames from the start of the complete recordings.

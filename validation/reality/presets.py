@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> Report:
     for name in options.fabrics:
         sample = read_sample(name)
         lengths = []
-        for angle, modulus in zip((0.0, 0.5 * math.pi), sample.pair("material.bending_modulus"), strict=True):
+        for angle, modulus in zip((0.0, 0.5 * math.pi), sample.warp_and_weft("material.bending_modulus"), strict=True):
             exact = (modulus / (sample.density * _GRAVITY)) ** (1.0 / 3.0)
             lengths.append(cantilever(sample, angle, cells=CELLS).bending_length / exact)
         strips.rows.append([name, *lengths])

@@ -27,7 +27,7 @@ from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import Recording
 from cloth_sim_ros.fit.scores import Score, driven_floors, pooled_score, rigid_distances, score
-from cloth_sim_ros.fit.screening import LeftOut, screen_clouds
+from cloth_sim_ros.fit.screening import UnusedClouds, screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -107,7 +107,7 @@ class _Evaluation:
         )
         prepared = [motion_recording(r, scene, selections(HELD), max_offset=model.max_offset) for r in recordings]
         screened = screen_clouds(prepared)
-        self.left_out: LeftOut = screened.left_out()
+        self.left_out: UnusedClouds = screened.left_out()
         self.n_clouds = sum(len(used) for used in screened.used)
         problem = JointProblem(
             recordings=prepared, used=list(screened.used), parameters=parameters, alignment=model, pool=pool

@@ -125,7 +125,7 @@ def record_run(draw: RandomScene) -> RecordedRun:
 def _plastic_lengths(simulation: Simulation) -> Array:
     """Return the plastic lengths of hinges with friction [m], shape (hinges,)."""
     plastic = simulation.plan.plastic
-    return np.empty(0) if plastic is None else plastic.of(simulation.state.memory).copy()
+    return np.empty(0) if plastic is None else plastic.lengths_of(simulation.state.memory).copy()
 
 
 def _grasped_particles(

@@ -10,7 +10,7 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class EnergyBalance:
-    """Sums dissipation and the work of grippers, obstacles and wind over advances.
+    """Sums of dissipation, and of the work of grippers, obstacles and wind, over advances.
 
     residual = E - E at the start - work - wind work - recovery work + dissipation. Pass `accumulator` to the
     integrator, then call `close` after the advance.

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.state.controller_state import StateMemory
 
 
 class WorkAccumulator:
-    """Accumulates integrals of wrenches and powers during an advance.
+    """Accumulator of wrenches, work and dissipation, integrated over time, during an advance.
 
     The integrals have the order of accuracy of the motion itself. Accumulation changes no bit of the motion.
 

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.engine.binding import address, check, float64_address, library
 from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def largest_distance(x: Array, y: Array) -> float:
     """Return the largest distance [m] of a particle between two arrays (3, n); infinite if an entry is not finite."""
     out, shape = ctypes.c_double(), (3, *x.shape[1:2])
-    addresses = doubles("x", x, shape), doubles("y", y, shape)
+    addresses = float64_address("x", x, shape), float64_address("y", y, shape)
     check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
     return float(out.value)
 
@@ -40,7 +40,7 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
             f"{len(weights)} weights for {len(arrays)} arrays; give each array one weight, and at least one array"
         )
     out, count = np.empty_like(arrays[0]), len(arrays)
-    addresses = struct.pack(f"{count}P", *[doubles("array", array, out.shape) for array in arrays])
+    addresses = struct.pack(f"{count}P", *[float64_address("array", array, out.shape) for array in arrays])
     factors = struct.pack(f"{count}d", *weights)
     check(library().cloth_combine(count, addresses, factors, out.size, address(out)))
     return out
@@ -55,7 +55,11 @@ def weighted_dot(masses: Array, a: Array, b: Array) -> float:
         b: vectors, shape (3, n).
     """
     out, shape = ctypes.c_double(), (3, len(masses))
-    addresses = doubles("masses", masses, (len(masses),)), doubles("a", a, shape), doubles("b", b, shape)
+    addresses = (
+        float64_address("masses", masses, (len(masses),)),
+        float64_address("a", a, shape),
+        float64_address("b", b, shape),
+    )
     check(library().cloth_weighted_dot(*addresses, len(masses), ctypes.addressof(out)))
     return float(out.value)
 

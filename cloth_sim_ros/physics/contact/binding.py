@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, library, writable
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, float64_address, library, writable_address
 from cloth_sim_ros.physics.arithmetic.arrays import combine
 from cloth_sim_ros.physics.contact import self_contact_binding
 from cloth_sim_ros.physics.contact.feature_binding import FeatureBinding, upload_meshes
@@ -148,7 +148,7 @@ class ContactBinding(Uncopyable):
         if thickness is not None:
             target = recovery.target
             rates = np.zeros_like(thickness) if target is None else (target - thickness) / recovery.duration
-            addresses = [doubles(THICKNESS_KEY, thickness, self.thickness_shape), address(rates)]
+            addresses = [float64_address(THICKNESS_KEY, thickness, self.thickness_shape), address(rates)]
         check(self._library.cloth_contact_thickness(self._handle, *addresses, recovery.t - self._time_offset))
         self._thickness, self._recovery = thickness, recovery
 
@@ -157,11 +157,13 @@ class ContactBinding(Uncopyable):
         if self.force.has_anchors and anchors is not self._anchors:
             fitting = self.anchors_of(memory)
             self_contact_binding.check_anchors(self.force, fitting)
-            check(self._library.cloth_contact_anchors(self._handle, doubles(ANCHORS_KEY, fitting, fitting.shape)))
+            check(
+                self._library.cloth_contact_anchors(self._handle, float64_address(ANCHORS_KEY, fitting, fitting.shape))
+            )
             self._anchors = anchors
         if self.force.jaws and jaws is not self._jaws:
             fitting = self.jaws_of(memory)
-            check(self._library.cloth_plan_jaw_states(self._handle, doubles(JAWS_KEY, fitting, fitting.shape)))
+            check(self._library.cloth_plan_jaw_states(self._handle, float64_address(JAWS_KEY, fitting, fitting.shape)))
             self._jaws = jaws
 
     def anchors_of(self, memory: StateMemory) -> Array:
@@ -212,7 +214,7 @@ class ContactBinding(Uncopyable):
         """Return the accelerations [m/s^2] of the jaws' half openings, shape (pinches,)."""
         self.upload(memory)
         out = np.empty(len(self.force.jaws))
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), address(out)
         check(self._library.cloth_jaw_accelerations(self._handle, t, *addresses))
         return out
 
@@ -249,7 +251,7 @@ class ContactBinding(Uncopyable):
             return 0.0
         self.upload(memory)
         out = np.empty(1)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), address(out)
         check(self._library.cloth_contact_growth_power(self._handle, t, *addresses))
         return float(out[0])
 
@@ -268,8 +270,8 @@ class ContactBinding(Uncopyable):
         """
         self.upload(memory)
         out, weight_array = np.empty(self.anchors_shape), np.array(weights, dtype=np.float64)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        ends_address = doubles("ends", ends, (len(weights), *self.anchors_shape))
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape)
+        ends_address = float64_address("ends", ends, (len(weights), *self.anchors_shape))
         weighted_ends = len(weights), weight_array.ctypes.data, ends_address
         check(self._library.cloth_combine_anchors(self._handle, t, *addresses, *weighted_ends, address(out)))
         return out
@@ -320,7 +322,7 @@ class ContactBinding(Uncopyable):
             ValueError: if a particle is inside an obstacle, naming the obstacle.
         """
         self.upload(memory)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), self._out_address
         # Neighbours may push, too. The energy of present contacts is known exactly.
         trust_factors = CONSTANTS.estimate_trust_factor, CONSTANTS.estimate_trust_factor if duration > 0.0 else 1.0
         check(self._library.cloth_predict_contact(self._handle, t, duration, *trust_factors, *addresses))
@@ -355,7 +357,7 @@ class ContactBinding(Uncopyable):
     ) -> tuple[float, float, float]:
         """Predict squared frequency, damping rate and number of pairs of contact of triangles and edges."""
         self.upload(memory)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), self._out_address
         trust_factor = CONSTANTS.estimate_trust_factor if duration > 0.0 else 1.0
         check(self._library.cloth_predict_surface_contact(self._handle, t, duration, trust_factor, *addresses))
         return self._out[0], self._out[1], self._out[2]
@@ -365,7 +367,7 @@ class ContactBinding(Uncopyable):
         if self.force.surface is None:
             return True
         out = np.empty(1, dtype=np.int64)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), address(out)
         check(self._library.cloth_self_culled(self._handle, duration, *addresses))
         return bool(out[0])
 
@@ -387,7 +389,7 @@ class ContactBinding(Uncopyable):
         if not self.count:
             return 0.0, 0.0, 0.0
         self.upload(memory)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), self._out_address
         check(self._library.cloth_predict_obstacle_contact(self._handle, t, duration, *addresses))
         return self._out[0], self._out[1], self._out[2]
 
@@ -420,7 +422,7 @@ class ContactBinding(Uncopyable):
         """
         self.upload(memory)
         out = np.zeros((self.count, binding.RECORD_NUMBERS))
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape)
         check(self._library.cloth_contact_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out
 
@@ -431,7 +433,7 @@ class ContactBinding(Uncopyable):
         """
         self.upload(memory)
         out = np.empty((self.count, 2))
-        check(self._library.cloth_contact_gaps(self._handle, t, doubles("x", x, self._shape), out.ctypes.data))
+        check(self._library.cloth_contact_gaps(self._handle, t, float64_address("x", x, self._shape), out.ctypes.data))
         return out
 
     def contact_gaps(self, t: float, x: Array, memory: StateMemory) -> Array:
@@ -441,7 +443,7 @@ class ContactBinding(Uncopyable):
         """
         self.upload(memory)
         out = np.empty(self.thickness_shape)
-        check(self._library.cloth_contact_gap_rows(self._handle, t, doubles("x", x, self._shape), address(out)))
+        check(self._library.cloth_contact_gap_rows(self._handle, t, float64_address("x", x, self._shape), address(out)))
         return out
 
     def self_gaps(self, x: Array) -> tuple[int, float]:
@@ -449,15 +451,15 @@ class ContactBinding(Uncopyable):
         if self.force.surface is None:
             return 0, math.inf
         out = np.empty(2)
-        check(self._library.cloth_self_gaps(self._handle, doubles("x", x, self._shape), address(out)))
+        check(self._library.cloth_self_gaps(self._handle, float64_address("x", x, self._shape), address(out)))
         return int(out[0]), float(out[1])
 
     def add_bounds(self, t: float, x: Array, stiff: Array, damped: Array, memory: StateMemory) -> None:
         """Add particle blocks (6, n) that bound the stiffness [N/m] and damping [N s/m] of contact."""
         self.upload(memory)
         shape = (6, self._shape[1])
-        position_address = doubles("x", x, self._shape)
-        addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
+        position_address = float64_address("x", x, self._shape)
+        addresses = writable_address("stiff", stiff, shape), writable_address("damped", damped, shape)
         check(self._library.cloth_contact_bounds(self._handle, t, position_address, *addresses))
         if self.force.surface is not None:
             check(self._library.cloth_self_bounds(self._handle, t, position_address, *addresses))
@@ -474,7 +476,7 @@ class ContactBinding(Uncopyable):
         """
         self.upload(memory)
         out = np.empty(1, dtype=np.int64)
-        addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
+        addresses = float64_address("start", start, self._shape), float64_address("end", end, self._shape), address(out)
         check(self._library.cloth_ccd_obstacles(self._handle, t, duration, *addresses))
         return bool(out[0]) or self.ccd_surface_hits(t, duration, start, end, memory)
 
@@ -507,6 +509,6 @@ class ContactBinding(Uncopyable):
         if self.force.surface is None:
             return False
         out = np.empty(1, dtype=np.int64)
-        addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
+        addresses = float64_address("start", start, self._shape), float64_address("end", end, self._shape), address(out)
         check(self._library.cloth_ccd_self(self._handle, *addresses))
         return bool(out[0])

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.engine.binding import address, check, float64_address, library
 from cloth_sim_ros.physics.contact.obstacle_features import is_covered_by_particles, obstacle_features
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.contact import ContactSurface
@@ -50,14 +50,14 @@ class FeatureBinding(Uncopyable):
     def is_out_of_reach(self, t: float, duration: float, x: Array, v: Array) -> bool:
         """Return true if no obstacle feature can reach the cloth within a duration [s] from time t [s] on."""
         out = np.empty(1, dtype=np.int64)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), address(out)
         check(self._library.cloth_features_culled(self._handle, t, duration, *addresses))
         return bool(out[0])
 
     def ccd_hits(self, t: float, duration: float, start: Array, end: Array) -> bool:
         """Return true if straight paths from t to t + duration [s] lead the cloth through an obstacle feature."""
         out = np.empty(1, dtype=np.int64)
-        addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
+        addresses = float64_address("start", start, self._shape), float64_address("end", end, self._shape), address(out)
         check(self._library.cloth_ccd_features(self._handle, t, duration, *addresses))
         return bool(out[0])
 
@@ -70,14 +70,22 @@ class FeatureBinding(Uncopyable):
             half_openings: half openings at the start of the motion [m], shape (pinches,).
         """
         out = np.empty(len(half_openings), dtype=np.int64)
-        addresses = doubles("x", x, self._shape), doubles("ways", half_openings, half_openings.shape), address(out)
+        addresses = (
+            float64_address("x", x, self._shape),
+            float64_address("ways", half_openings, half_openings.shape),
+            address(out),
+        )
         check(self._library.cloth_ccd_jaws(self._handle, t, *addresses))
         return out != 0
 
     def find_penetration(self, t: float, x: Array) -> tuple[int, int, int]:
         """Return the first obstacle that penetrates the cloth at time t [s], or -1, and two particles near it."""
         out = np.empty(3, dtype=np.int64)
-        check(self._library.cloth_feature_intersection(self._handle, t, doubles("x", x, self._shape), address(out)))
+        check(
+            self._library.cloth_feature_intersection(
+                self._handle, t, float64_address("x", x, self._shape), address(out)
+            )
+        )
         obstacle, a, b = out.tolist()
         return obstacle, a, b
 

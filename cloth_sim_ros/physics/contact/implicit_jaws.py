@@ -39,7 +39,7 @@ def step_jaws(
             None if only particles meet them.
     """
     half_opening, jaw_speed = start.T.copy()
-    inner, outer = _stops(force)
+    inner, outer = _half_opening_ranges(force)
     low, high = (inner - 0.75 * force.thickness - half_opening) / h, (outer + force.thickness - half_opening) / h
     is_clear = np.isfinite(accelerations(np.stack([half_opening, np.zeros_like(half_opening)], axis=1)))
     for _ in range(_BISECTIONS):
@@ -56,10 +56,10 @@ def step_jaws(
     return np.stack([half_opening + h * mid_speed, mid_speed], axis=1)
 
 
-def _stops(force: Contact) -> tuple[Array, Array]:
+def _half_opening_ranges(force: Contact) -> tuple[Array, Array]:
     """Return the least and the largest half opening [m] that each gripper's drive moves to, (pinches,) each."""
     setpoints, closed = force.controls.jaw_setpoints, force.jaw_commands[:, 1].tolist()
     targets = [-1.0] * len(force.jaws) if setpoints is None else setpoints[:, 0].tolist()
     jaws = zip(force.jaws, closed, targets, strict=True)
-    stops = np.array([jaw.stops(closes, target, force.thickness) for jaw, closes, target in jaws])
+    stops = np.array([jaw.half_opening_range(closes, target, force.thickness) for jaw, closes, target in jaws])
     return stops[:, 0], stops[:, 1]

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.engine.binding import address, check, float64_address, library
 from cloth_sim_ros.physics.arithmetic.deterministic_math import row_sum
 from cloth_sim_ros.physics.contact.obstacle_mesh import nearest_points
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
@@ -57,7 +57,7 @@ def find_self_intersection(engine_plan: PlanHandle, x: Array) -> list[int] | Non
         The edge's two particles, then the triangle's three.
     """
     out = np.empty(5, dtype=np.int64)
-    check(library().cloth_self_intersection(engine_plan.pointer, doubles("x", x, x.shape), address(out)))
+    check(library().cloth_self_intersection(engine_plan.pointer, float64_address("x", x, x.shape), address(out)))
     corners: list[int] = out.tolist()
     return None if corners[0] < 0 else corners
 
@@ -84,7 +84,7 @@ def check_initial_penetration(engine_plan: PlanHandle, surface: ContactSurface, 
             f"triangle of particles {', '.join(map(str, triangle))}; {_REMEDY}"
         )
     gaps = np.empty(2)
-    check(library().cloth_self_gaps(engine_plan.pointer, doubles("x", x, x.shape), address(gaps)))
+    check(library().cloth_self_gaps(engine_plan.pointer, float64_address("x", x, x.shape), address(gaps)))
     min_gap = float(gaps[1])
     if min_gap < MIN_START_GAP * thickness:
         raise ValueError(
@@ -97,7 +97,7 @@ def check_initial_penetration(engine_plan: PlanHandle, surface: ContactSurface, 
 def _describe_nearest(engine_plan: PlanHandle, surface: ContactSurface, x: Array) -> str:
     """Describe the position of the least gap of the cloth to itself, as part of a sentence."""
     stiff, damped = np.zeros((6, x.shape[1])), np.zeros((6, x.shape[1]))
-    addresses = doubles("x", x, x.shape), address(stiff), address(damped)
+    addresses = float64_address("x", x, x.shape), address(stiff), address(damped)
     check(library().cloth_self_bounds(engine_plan.pointer, 0.0, *addresses))
     # Contact is stiffest at the least gap. Its stiffness is NaN without a gap.
     order = np.argsort(-np.nan_to_num(stiff[0] + stiff[1] + stiff[2], nan=np.inf), kind="stable")

@@ -77,7 +77,7 @@ class ParallelJaw:
         extent = self.opening + y
         return math.sqrt(0.25 * (x * x + z * z) + extent * extent)
 
-    def limited(self, force: float, speed: float) -> ParallelJaw:
+    def with_limits(self, force: float, speed: float) -> ParallelJaw:
         """Return the jaws with force [N] and speed [m/s] limited to these values; 0 stands for no limit."""
         new_force, new_speed = min(force or self.force, self.force), min(speed or self.speed, self.speed)
         if (new_force, new_speed) == (self.force, self.speed):
@@ -86,7 +86,7 @@ class ParallelJaw:
         inertia = drive_inertia(cloth_mass, new_force, new_speed)
         return attrs.evolve(self, force=new_force, speed=new_speed, inertia=inertia)
 
-    def stops(self, closed: bool, half_opening: float, thickness: float) -> tuple[float, float]:
+    def half_opening_range(self, closed: bool, half_opening: float, thickness: float) -> tuple[float, float]:
         """Return the least and the largest half opening [m] to which the drive moves the jaws.
 
         The stop towards which the drive moves begins to act at the commanded half opening. Jaws that close entirely
@@ -114,7 +114,7 @@ class ParallelJaw:
             thickness: contact thickness [m].
         """
         half_opening, force, speed = setpoint
-        drive, (inner, outer) = self.limited(force, speed), self.stops(closed, half_opening, thickness)
+        drive, (inner, outer) = self.with_limits(force, speed), self.half_opening_range(closed, half_opening, thickness)
         flags = float(present), float(closed)
         return (*flags, drive.inertia, drive.force, drive.speed, outer, 0.5 * self.size[1], inner)
 

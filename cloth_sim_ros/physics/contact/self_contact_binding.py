@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.engine.binding import address, check, float64_address, library
 from cloth_sim_ros.physics.model.forces.contact import Contact
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
@@ -51,6 +51,6 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
 def friction_power(handle: int, t: float, x: Array, v: Array) -> float:
     """Return the power [W] that friction between layers dissipates at time t [s], with the uploaded anchors."""
     out = np.empty(1)
-    addresses = doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)
+    addresses = float64_address("x", x, x.shape), float64_address("v", v, v.shape), address(out)
     check(library().cloth_self_friction_power(handle, t, *addresses))
     return float(out[0])

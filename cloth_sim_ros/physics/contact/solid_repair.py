@@ -45,7 +45,7 @@ def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
     return True
 
 
-def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+def drop_unused_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
     """Remove vertices (m, 3) [m] that no triangle (t, 3) uses; return vertices and renumbered triangles."""
     used = np.unique(triangles)
     new_index = np.zeros(len(vertices), dtype=np.int64)
@@ -53,7 +53,7 @@ def used_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array,
     return np.ascontiguousarray(vertices[used]), new_index[triangles]
 
 
-def closed_solid(
+def close_solid(
     vertices: Array, triangles: NDArray[np.int64], limit: float
 ) -> tuple[Array, NDArray[np.int64], tuple[str, ...]]:
     """Close rounding gaps of a mesh by merging, joining and splitting; return vertices, triangles and notes.
@@ -80,7 +80,7 @@ def closed_solid(
         closed_thin, joined_thin = _join_flat_triangles(vertices, triangles, limit, height=2.0 * limit)
         if is_closed(vertices, closed_thin):
             closed, joined = closed_thin, joined_thin
-    return *used_vertices(vertices, closed), (*notes, *joined)
+    return *drop_unused_vertices(vertices, closed), (*notes, *joined)
 
 
 def _join_flat_triangles(
@@ -107,7 +107,7 @@ def _join_flat_triangles(
     return triangles, notes
 
 
-def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
+def _side_lengths(vertices: Array, triangles: NDArray[np.int64]) -> Array:
     """Return the lengths of triangles' sides, from each corner to the next [m], (t, 3)."""
     corners = vertices[triangles]
     edges = np.roll(corners, -1, axis=1) - corners
@@ -119,7 +119,7 @@ def _is_flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> ND
     """Return a mask of the triangles without area, as in `check_closed`, or of at most a height [m], (t,)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
-    max_side = _sides(vertices, triangles).max(axis=1)
+    max_side = _side_lengths(vertices, triangles).max(axis=1)
     min_height = np.maximum(FLATNESS * max_side, height)
     flat: NDArray[np.bool_] = ~(np.sqrt(dot_products(normals, normals)) > min_height * max_side)
     return flat
@@ -145,7 +145,7 @@ def _remove_duplicates(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _collapse_needles(vertices: Array, triangles: NDArray[np.int64], height: float) -> tuple[NDArray[np.int64], int]:
     """Merge the ends of the short side of needle-shaped triangles; return triangles and number of needles."""
-    sides = _sides(vertices, triangles)
+    sides = _side_lengths(vertices, triangles)
     is_needle = _is_flat(vertices, triangles, height) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
     count = int(np.count_nonzero(is_needle))
     if not count:

@@ -68,7 +68,7 @@ _ATTRIBUTES = (
 
 
 class Controller:
-    """Chooses pieces, number of runs and steps of one explicit advance, by the rules and the work budget.
+    """Choice of pieces, number of runs and steps of one explicit advance, by the rules and the work budget.
 
     Args:
         options: settings of the integrator.
@@ -160,7 +160,7 @@ class Controller:
         if plan.contact is not None and not plan.contact.force.steady():
             return True
         has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
-        return has_python_forces or plan.supply(self._t0, state.x, state.v, state.memory) != 0.0
+        return has_python_forces or plan.external_power(self._t0, state.x, state.v, state.memory) != 0.0
 
     @property
     def _has_fallback(self) -> bool:

@@ -144,7 +144,7 @@ def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: fl
     """
     (x, v), memory = tableau.combine(n_runs), state.memory
     moving = plan.contact is not None and not plan.contact.force.steady()
-    if not (moving or plan.supply(t, state.x, state.v, memory) or plan.supply(t, x, v, memory)):
+    if not (moving or plan.external_power(t, state.x, state.v, memory) or plan.external_power(t, x, v, memory)):
         return tableau.work(n_runs), 0
     # Runs record the work of air and obstacles on demand alone.
     span, counts, ratio, single = tableau.duration, tableau.counts, tableau.ratio, tableau.single_precision

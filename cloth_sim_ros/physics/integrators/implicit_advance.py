@@ -458,7 +458,7 @@ class ImplicitAdvance:
         if self._uses_safe_steps and self._ccd_hits(t - 0.5 * d - self._obstacle_time_offset, d, positions):
             return math.inf
         # The force of moving air is nearly constant and has no potential.
-        dissipation = 0.5 * plan.dissipation(t, positions, u, memory) - plan.supply(t, positions, u, memory)
+        dissipation = 0.5 * plan.dissipation(t, positions, u, memory) - plan.external_power(t, positions, u, memory)
         return plan.energy(t, positions, u - v, memory) + d * dissipation
 
 
@@ -520,7 +520,7 @@ def _external_work(plan: Plan, t: float, h: float, step: ImplicitStep, memory: S
     """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]."""
     total = 0.0
     for stage_time, weight, x, v in step.stages:
-        total += weight * plan.supply(stage_time, x, v, memory)
+        total += weight * plan.external_power(stage_time, x, v, memory)
         if plan.gripper_count:
             rates = plan.grip_wrench_rates(stage_time, x, v, weight, memory)
             total = ordered_sum(rates[:, 6].tolist(), total)

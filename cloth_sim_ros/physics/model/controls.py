@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import Array
 
 
@@ -73,7 +73,7 @@ class Grasps:
         return validated[1]
 
     def _validate(self, gripper_count: int, particle_count: int) -> tuple[NDArray[Any], ...]:
-        particles = indices("held particles", np.reshape(self.particles, (-1, 1)), 1, particle_count)
+        particles = checked_indices("held particles", np.reshape(self.particles, (-1, 1)), 1, particle_count)
         count = len(particles)
         gripper_indices = np.ascontiguousarray(self.gripper_indices(gripper_count), dtype=np.int64)
         if len(gripper_indices) != count:
@@ -81,9 +81,9 @@ class Grasps:
                 f"starts {self.starts.tolist()} are of {len(gripper_indices)} grasped particles; there are {count}"
             )
         coefficients = (
-            finite("offsets of grips", self.offsets, (count, 3)),
-            finite("stiffness of grips", self.stiffness, (count,), lower=0.0),
-            finite("damping of grips", self.damping, (count,), lower=0.0),
+            checked_floats("offsets of grips", self.offsets, (count, 3)),
+            checked_floats("stiffness of grips", self.stiffness, (count,), lower=0.0),
+            checked_floats("damping of grips", self.damping, (count,), lower=0.0),
         )
         prescribed = np.zeros(count, dtype=np.bool_) if self.prescribed is None else np.asarray(self.prescribed)
         if prescribed.shape != (count,) or prescribed.dtype != np.bool_:

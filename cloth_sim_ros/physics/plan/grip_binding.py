@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.engine.binding import address, check, doubles, library, writable
+from cloth_sim_ros.engine.binding import address, check, float64_address, library, writable_address
 from cloth_sim_ros.physics.model.controls import GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
@@ -49,7 +49,7 @@ class GripBinding(Uncopyable):
                 address(array) if array.size and array.flags.writeable else array.ctypes.data for array in arrays
             )
             check(self._library.cloth_plan_grips(self._handle, self.count, len(arrays[0]), *addresses))
-        paths = doubles("paths of grippers", controls.paths, self._paths_shape)
+        paths = float64_address("paths of grippers", controls.paths, self._paths_shape)
         status = self._library.cloth_plan_gripper_paths(self._handle, paths)
         if status == binding.NOT_FINITE:
             raise ValueError(f"paths of grippers are {controls.paths.tolist()}; all numbers must be finite")
@@ -70,7 +70,7 @@ class GripBinding(Uncopyable):
         """
         self.upload()
         out = np.zeros((self.count, binding.RECORD_NUMBERS))
-        addresses = writable("x", x, self._shape), writable("v", v, self._shape)
+        addresses = writable_address("x", x, self._shape), writable_address("v", v, self._shape)
         check(self._library.cloth_prescribe(self._handle, t, *addresses, out.ctypes.data))
         return out
 
@@ -89,7 +89,7 @@ class GripBinding(Uncopyable):
         """
         self.upload()
         out = np.zeros((self.count, binding.RECORD_NUMBERS))
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape)
         status: int = self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data)
         return status, out
 

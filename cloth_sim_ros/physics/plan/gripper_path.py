@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, library
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, float64_address, library
 from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
 from cloth_sim_ros.physics.model.forces.force import Array
 
@@ -69,7 +69,7 @@ def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]
     """Return the rotation vector [rad], 3 numbers, of the shortest rotation from one unit quaternion to another."""
     out = np.empty(3)
     quaternions = [np.array(orientation, dtype=np.float64) for orientation in (start, end)]
-    addresses = [doubles("orientation", array, (4,)) for array in quaternions]
+    addresses = [float64_address("orientation", array, (4,)) for array in quaternions]
     check(library().cloth_rotation_vector(*addresses, address(out)))
     rotation: list[float] = out.tolist()
     return rotation
@@ -161,7 +161,7 @@ def rigid_velocities(row: Array, t: float, h: float, x: Array) -> Array:
 
 
 class PathPlanner:
-    """Plans smooth paths of grippers and obstacles to their targets, frame by frame."""
+    """Planner of smooth paths of grippers and obstacles to their targets, frame by frame."""
 
     def __init__(self) -> None:
         # Arrays that the last frame returned, and their addresses: the next call mostly takes them.
@@ -193,9 +193,12 @@ class PathPlanner:
         pose_shape, twist_shape = (count, 7), (count, 6)
         addresses, last_arrays = self._last_addresses, self._last_arrays
         if not (poses is last_arrays[0] and twists is last_arrays[1] and previous is last_arrays[2]):
-            twist_addresses = doubles("twists", twists, twist_shape), doubles("before", previous, twist_shape)
-            addresses = doubles("poses", poses, pose_shape), *twist_addresses
-        target_address = doubles("targets", targets, pose_shape)
+            twist_addresses = (
+                float64_address("twists", twists, twist_shape),
+                float64_address("before", previous, twist_shape),
+            )
+            addresses = float64_address("poses", poses, pose_shape), *twist_addresses
+        target_address = float64_address("targets", targets, pose_shape)
         paths, motion, changes = np.empty((count, PATH_NUMBERS)), np.empty((2, count, 6)), np.empty(count)
         outputs = (address(paths), address(motion), address(changes)) if count else (0, 0, 0)
         next_addresses = outputs[1], outputs[1] + 48 * count
@@ -207,7 +210,7 @@ class PathPlanner:
         return paths, end_twists, displacements, changes.tolist()
 
 
-def planned_paths(
+def plan_paths(
     t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
 ) -> tuple[Array, Array, Array, list[float]]:
     """Plan cubic paths for a single frame, as `PathPlanner.plan` does."""

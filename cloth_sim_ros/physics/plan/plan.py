@@ -20,7 +20,16 @@ import numpy as np
 from numpy import empty, zeros
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.engine.binding import FRAME, MAX_RUNS, REENTRY_REFUSAL, address, check, doubles, library, writable
+from cloth_sim_ros.engine.binding import (
+    FRAME,
+    MAX_RUNS,
+    REENTRY_REFUSAL,
+    address,
+    check,
+    float64_address,
+    library,
+    writable_address,
+)
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.controls import Controls
 from cloth_sim_ros.physics.model.forces.force import Array, Force
@@ -69,6 +78,7 @@ def compile(model: Model) -> Plan:
     grip_rates="grip_wrench_rates",
     narrows="supports_single_precision",
     rates="spectral_bounds",
+    supply="external_power",
     threads="threads_per_run",
 )
 class Plan(PlanQueries, Uncopyable):
@@ -287,7 +297,7 @@ class Plan(PlanQueries, Uncopyable):
                 n_combined,
                 concurrency,
                 self._activities_address,
-                0 if before is None else doubles("before", before[0], self._shape),
+                0 if before is None else float64_address("before", before[0], self._shape),
                 0.0 if before is None else duration / before[1],
                 0 if plastic_ends is None else address(plastic_ends),
             )
@@ -338,7 +348,7 @@ class Plan(PlanQueries, Uncopyable):
         """Return the addresses of positions and velocities, without a check for those of the newest combination."""
         if x is self._last_result[0] and v is self._last_result[1]:
             return self._last_address, self._last_address + x.nbytes
-        return doubles("x", x, self._shape), doubles("v", v, self._shape)
+        return float64_address("x", x, self._shape), float64_address("v", v, self._shape)
 
     def _request_steps(self, steps: Sequence[int]) -> None:
         """Check the numbers of steps of runs and write them into the engine's request."""
@@ -395,7 +405,7 @@ class Plan(PlanQueries, Uncopyable):
         """
         self._upload(memory)
         shape = self._shape
-        addresses = doubles("x", x, shape), doubles("v", v, shape), writable("out", out, shape)
+        addresses = float64_address("x", x, shape), float64_address("v", v, shape), writable_address("out", out, shape)
         status = self._library.cloth_accelerations(self._handle, t, *addresses)
         if status:
             self._raise_for_status(status)
@@ -459,7 +469,7 @@ class Plan(PlanQueries, Uncopyable):
             self.contact.update_after_step(t, h, state)
         if self.plastic is None:
             return 0.0
-        state.memory[PLASTIC_LENGTHS_KEY], work = self.plastic.returned(state.x, state.memory)
+        state.memory[PLASTIC_LENGTHS_KEY], work = self.plastic.return_mapping(state.x, state.memory)
         return work
 
     def steady(self) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.engine.binding import address, check, float64_address, library
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.parts import ElementList
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
@@ -46,12 +46,12 @@ class PlasticLengths(Uncopyable):
             )
         lengths = memory.get(PLASTIC_LENGTHS_KEY)
         if lengths is not self._uploaded:
-            fitting = self.of(memory)
-            addresses = doubles(PLASTIC_LENGTHS_KEY, fitting, fitting.shape)
+            fitting = self.lengths_of(memory)
+            addresses = float64_address(PLASTIC_LENGTHS_KEY, fitting, fitting.shape)
             check(self._library.cloth_plan_plastic_lengths(self._handle, addresses))
             self._uploaded = lengths
 
-    def of(self, memory: StateMemory) -> Array:
+    def lengths_of(self, memory: StateMemory) -> Array:
         """Return the plastic lengths of a memory [m], or the rest lengths if it has none that fit, shape (hinges,)."""
         lengths = memory.get(PLASTIC_LENGTHS_KEY)
         return lengths if lengths is not None and lengths.shape == self._rest_lengths.shape else self._rest_lengths
@@ -71,10 +71,15 @@ class PlasticLengths(Uncopyable):
             weights: dimensionless weight of each run.
         """
         out, work, weight_array = np.empty(len(self._rest_lengths)), np.empty(1), np.array(weights, dtype=np.float64)
-        inputs = doubles("x", x, self._shape), len(weights), address(weight_array), doubles("ends", ends, ends.shape)
+        inputs = (
+            float64_address("x", x, self._shape),
+            len(weights),
+            address(weight_array),
+            float64_address("ends", ends, ends.shape),
+        )
         check(self._library.cloth_combine_plastic_lengths(self._handle, *inputs, address(out), address(work)))
         return out, float(work[0])
 
-    def returned(self, x: Array, memory: StateMemory) -> tuple[Array, float]:
+    def return_mapping(self, x: Array, memory: StateMemory) -> tuple[Array, float]:
         """Return a memory's plastic lengths, mapped to the yield surface at x (3, n), and the dissipated work [J]."""
-        return self.combine(x, self.of(memory)[None], [1.0])
+        return self.combine(x, self.lengths_of(memory)[None], [1.0])

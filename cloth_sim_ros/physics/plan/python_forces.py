@@ -47,7 +47,7 @@ class PythonForces:
                 force.add_force(t, positions, velocities, forces)
                 if powers:
                     powers[0] += force.dissipation(t, positions, velocities)
-                    powers[1] += force.supply(t, positions, velocities)
+                    powers[1] += force.external_power(t, positions, velocities)
         except BaseException as exception:
             self._exception = exception
             return 0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.binding import RECORD_NUMBERS, address, check, doubles, writable
+from cloth_sim_ros.engine.binding import RECORD_NUMBERS, address, check, float64_address, writable_address
 from cloth_sim_ros.physics.arithmetic.arrays import weighted_dot
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array, Force
@@ -67,7 +67,7 @@ class PlanQueries:
             self._grip_binding.upload()
 
     def spectral_bounds(self, x: Array) -> tuple[float, float]:
-        """Return upper bounds of squared angular frequencies [1/s^2] and of damping rates c/m [1/s] at positions x.
+        """Return upper bounds, without contact, of squared angular frequency [1/s^2] and damping rate c/m [1/s] at x.
 
         Contact is not included: its bounds depend on the motion, see `predict_contact`.
         """
@@ -75,7 +75,7 @@ class PlanQueries:
         return omega2, damping
 
     def detailed_spectral_bounds(self, x: Array, *, hinges: bool = False) -> list[float]:
-        """Return the spectral bounds of the whole model without contact, and those of hinges alone, five numbers.
+        """Return spectral bounds without contact: of the whole, of hinges alone, and across springs; five numbers.
 
         Args:
             x: positions [m], shape (3, n).
@@ -85,7 +85,7 @@ class PlanQueries:
             Squared frequency [1/s^2] and damping rate [1/s] of the whole; squared frequency and damping rate of hinges;
             squared frequency across springs.
         """
-        addresses: list[int | None] = [doubles("x", x, self._shape), None, None]
+        addresses: list[int | None] = [float64_address("x", x, self._shape), None, None]
         if self._grip_binding is not None:
             self._grip_binding.upload()
         if self._python_forces:
@@ -111,7 +111,7 @@ class PlanQueries:
             steps: number of steps.
         """
         out = np.empty(1)
-        addresses = doubles("x0", x0, self._shape), doubles("x", x, self._shape)
+        addresses = float64_address("x0", x0, self._shape), float64_address("x", x, self._shape)
         check(self._library.cloth_turn_in_step(self._handle, *addresses, steps, address(out)))
         return float(out[0])
 
@@ -133,7 +133,12 @@ class PlanQueries:
         """
         if self._grip_binding is not None:
             self._grip_binding.upload()
-        addresses = doubles("x", x, self._shape), doubles("errors", errors, self._shape), time, self._query_address
+        addresses = (
+            float64_address("x", x, self._shape),
+            float64_address("errors", errors, self._shape),
+            time,
+            self._query_address,
+        )
         check(self._library.cloth_velocity_displacement(self._handle, t, *addresses))
         displacement, evaluations = self._query_out
         return displacement, int(evaluations)
@@ -149,8 +154,12 @@ class PlanQueries:
         """Return kinetic and potential energy [J] at time t [s]; the kinetic energy is 0 without velocities."""
         self._upload(memory)
         out = np.empty(2)
-        velocity_address = None if v is None else doubles("v", v, self._shape)
-        check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), velocity_address, address(out)))
+        velocity_address = None if v is None else float64_address("v", v, self._shape)
+        check(
+            self._library.cloth_energy(
+                self._handle, t, float64_address("x", x, self._shape), velocity_address, address(out)
+            )
+        )
         return float(out[0]), ordered_sum((force.energy(t, x) for force in self._python_forces), float(out[1]))
 
     def energy(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
@@ -161,7 +170,7 @@ class PlanQueries:
     def mass_blocks(self, x: Array) -> Array:
         """Return 3x3 mass blocks of the air that each particle carries along (added mass) at x [kg], shape (6, n)."""
         blocks = np.empty((6, self.model.particle_count))
-        check(self._library.cloth_mass_blocks(self._handle, doubles("x", x, self._shape), address(blocks)))
+        check(self._library.cloth_mass_blocks(self._handle, float64_address("x", x, self._shape), address(blocks)))
         return blocks
 
     def momenta(self, x: Array, v: Array) -> Array:
@@ -185,10 +194,10 @@ class PlanQueries:
         """Return the power that springs and drag dissipate, and that of wind [W]; without grips and contact."""
         self._upload(memory)
         out = np.empty(2)
-        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape)
         check(self._library.cloth_powers(self._handle, t, *addresses, address(out)))
         dissipated = ordered_sum((force.dissipation(t, x, v) for force in self._python_forces), float(out[0]))
-        return dissipated, ordered_sum((force.supply(t, x, v) for force in self._python_forces), float(out[1]))
+        return dissipated, ordered_sum((force.external_power(t, x, v) for force in self._python_forces), float(out[1]))
 
     def prescribed_particles(self) -> NDArray[np.int64]:
         """Return the particles whose motion a gripper prescribes, ascending."""
@@ -241,8 +250,8 @@ class PlanQueries:
             return dissipated
         return ordered_sum(self.contact.wrench_rates(t, x, v, memory)[:, 7].tolist(), dissipated)
 
-    def supply(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
-        """Return the power of wind on the cloth [W]."""
+    def external_power(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
+        """Return the external power [W]: that of wind on the cloth, and that of Python forces."""
         return self.powers(t, x, v, memory)[1]
 
     def add_bounds(
@@ -251,8 +260,8 @@ class PlanQueries:
         """Add particle blocks B (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i."""
         self._upload(memory)
         shape = (6, self.model.particle_count)
-        addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
-        check(self._library.cloth_bounds(self._handle, doubles("x", x, self._shape), *addresses))
+        addresses = writable_address("stiff", stiff, shape), writable_address("damped", damped, shape)
+        check(self._library.cloth_bounds(self._handle, float64_address("x", x, self._shape), *addresses))
         damped[:3] += self._drag * self.model.masses
         if self._grip_binding is not None:
             self._grip_binding.add_bounds(stiff, damped)
@@ -268,8 +277,8 @@ class PlanQueries:
         """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out`` (3, n)."""
         self._upload(memory)
         arrays = {"x": x, "v": v, "dx": dx, "dv": dv}
-        addresses = [doubles(name, array, self._shape) for name, array in arrays.items()]
-        addresses.append(writable("out", out, self._shape))
+        addresses = [float64_address(name, array, self._shape) for name, array in arrays.items()]
+        addresses.append(writable_address("out", out, self._shape))
         check(self._library.cloth_derivative_product(self._handle, t, *addresses))
         for force in self._python_forces:
             force.add_jacobian_product(t, x, v, dx, dv, out)
@@ -295,7 +304,7 @@ class PlanQueries:
         if not 0 <= list_index < len(self._pair_counts) or self._pair_counts[list_index] != count:
             raise ValueError(f"list {list_index} of {count} blocks; the plan has lists of {self._pair_counts}")
         is_membrane = self._membrane_lists[list_index]
-        out, x_address = np.empty((count, 9 if is_membrane else 6)), doubles("x", x, self._shape)
+        out, x_address = np.empty((count, 9 if is_membrane else 6)), float64_address("x", x, self._shape)
         coefficients = stiffness, damping
         function = self._library.cloth_membrane_blocks if is_membrane else self._library.cloth_pair_blocks
         check(function(self._handle, list_index, x_address, *coefficients, out.ctypes.data))

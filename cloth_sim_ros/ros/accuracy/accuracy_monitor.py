@@ -36,7 +36,7 @@ class _WindowJob:
 
 
 class AccuracyMonitor:
-    """Measures the true error of a live cloth: a worker process integrates windows of 1 s again with finer steps."""
+    """Monitor of a live cloth's true error: a worker process integrates windows of 1 s again with finer steps."""
 
     def __init__(self) -> None:
         self._scene: Scene | None = None

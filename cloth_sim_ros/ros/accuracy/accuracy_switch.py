@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class AccuracySwitch:
-    """Starts and ends the accuracy monitor by the parameter `diagnostics.accuracy`, and passes frames on to it.
+    """Switch of the accuracy monitor by the parameter `diagnostics.accuracy`; it passes frames on to the monitor.
 
     Args:
         simulation: the cloth.

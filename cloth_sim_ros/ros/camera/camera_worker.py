@@ -61,7 +61,7 @@ Bodies = Sequence[tuple[Obstacle, Any, int]]
 
 
 class CameraOutput:
-    """Renders one depth camera, and publishes its images, labels and points.
+    """Renderer of one depth camera, and publisher of its images, labels and points.
 
     Args:
         node: the node of this process.
@@ -113,16 +113,16 @@ class CameraOutput:
         pose = self._pose(frame)
         if pose is None:
             return
-        self._publish(CAMERA_INFO, lambda: self._info.serialized(frame.stamp))
+        self._publish(CAMERA_INFO, lambda: self._info.serialize(frame.stamp))
         if not any(self._has_subscribers(leaf) for leaf in (DEPTH, LABELS, POINTS)):
             return
-        depths, labels = self._camera.view(pose, frame.x, bodies, frame=frame.index)
+        depths, labels = self._camera.render(pose, frame.x, bodies, frame=frame.index)
         in_millimetres = self._parameters.encoding == MILLIMETRES
         self._publish(
-            DEPTH, lambda: self._depth.serialized(millimetres(depths) if in_millimetres else depths, frame.stamp)
+            DEPTH, lambda: self._depth.serialize(millimetres(depths) if in_millimetres else depths, frame.stamp)
         )
-        self._publish(LABELS, lambda: self._label.serialized(labels, frame.stamp))
-        self._publish(POINTS, lambda: self._cloud.serialized(self._camera.points(depths), frame.stamp))
+        self._publish(LABELS, lambda: self._label.serialize(labels, frame.stamp))
+        self._publish(POINTS, lambda: self._cloud.serialize(self._camera.points(depths), frame.stamp))
 
     def listen(self) -> None:
         """Subscribe to TF if the camera follows a TF frame, so that the first image finds its transform."""

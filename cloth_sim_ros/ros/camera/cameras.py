@@ -28,7 +28,7 @@ _WORKER_MODULE = "cloth_sim_ros.ros.camera.camera_worker"
 
 
 class Cameras:
-    """Starts the camera process, and sends it the frames that depth cameras with subscribers need, without blocking.
+    """Link to the camera process: sends it, without blocking, the frames that depth cameras with subscribers need.
 
     Args:
         node: the node.
@@ -64,7 +64,7 @@ class Cameras:
         self._n_skipped = 0
 
     def start(self) -> None:
-        """Start the camera process."""
+        """Start the camera process, and send it the cameras and the cloth's triangles."""
         if not len(self._setup.triangles):
             self._log.warn("cameras", "cameras do not see this cloth: it has no triangles")
         self._process = WorkerProcess(

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
-from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
+from cloth_sim_ros.ros.io.messages import CDR, SECOND, pad_to_multiple
 
 #: Bytes of the number of data, and of is_dense behind it.
 _COUNT, _IS_DENSE = 4, 1
 
 
 class ImageMessage:
-    """Serializes sensor_msgs/Image messages of one channel: depths or labels."""
+    """Serializer of sensor_msgs/Image messages of one channel: depths or labels."""
 
     def __init__(self, *, frame_id: str, width: int, height: int, encoding: str) -> None:
         step = width * (4 if encoding == "32FC1" else 2)
@@ -29,13 +29,13 @@ class ImageMessage:
         message.header.frame_id = frame_id
         self._start = _after_stamp(message)[:-_COUNT]
 
-    def serialized(self, pixels: NDArray[Any], stamp: int) -> bytes:
+    def serialize(self, pixels: NDArray[Any], stamp: int) -> bytes:
         """Return the CDR bytes of the Image for pixels (height, width) at a ROS time [ns]."""
         return _joined(stamp, self._start, pixels, bytes(-pixels.nbytes % 4))
 
 
 class PointsMessage:
-    """Serializes sensor_msgs/PointCloud2 messages with a point for each pixel, NaN for a pixel without depth."""
+    """Serializer of sensor_msgs/PointCloud2 messages with a point for each pixel, NaN for a pixel without depth."""
 
     def __init__(self, *, frame_id: str, width: int, height: int) -> None:
         message = PointCloud2(width=width, height=height, point_step=12, row_step=12 * width, is_dense=False)
@@ -47,13 +47,13 @@ class PointsMessage:
         message.header.frame_id = frame_id
         self._start = _after_stamp(message)[: -_COUNT - _IS_DENSE]
 
-    def serialized(self, points: NDArray[np.float32], stamp: int) -> bytes:
+    def serialize(self, points: NDArray[np.float32], stamp: int) -> bytes:
         """Return the CDR bytes of the PointCloud2 for points (height, width, 3) [m] at a ROS time [ns]."""
-        return _joined(stamp, self._start, points, aligned(b"\0", 4))
+        return _joined(stamp, self._start, points, pad_to_multiple(b"\0", 4))
 
 
 class CameraInfoMessage:
-    """Serializes sensor_msgs/CameraInfo messages of a camera without distortion.
+    """Serializer of sensor_msgs/CameraInfo messages of a camera without distortion.
 
     Args:
         frame_id: optical frame.
@@ -73,7 +73,7 @@ class CameraInfoMessage:
         message.header.frame_id = frame_id
         self._end = _after_stamp(message)
 
-    def serialized(self, stamp: int) -> bytes:
+    def serialize(self, stamp: int) -> bytes:
         """Return the CDR bytes of the CameraInfo with a ROS time [ns] as stamp."""
         return _head(stamp) + self._end
 

@@ -93,7 +93,7 @@ def measure_step_cost(scene: Scene) -> float | None:
 
 
 class PerformanceEstimator:
-    """Logs the expected real-time factor at the start and after changes of the cloth.
+    """Log of the expected real-time factor, at the start and after changes of the cloth.
 
     Args:
         simulation: the cloth.

@@ -52,7 +52,7 @@ def _describe_report(hold: GraspReport) -> str:
 
 
 class GripperClient:
-    """Plays the script of one gripper: publishes its targets and grasps, and receives the results of grasps.
+    """Client that plays the script of one gripper: it sends targets and grasps, and receives results of grasps.
 
     All times are in the cloth's time [s].
 

@@ -48,11 +48,11 @@ class NodeTime:
 
 
 class GripperError(RuntimeError):
-    """The script can't be played; the message says why."""
+    """Error: the script can't be played; the message says why."""
 
 
 class GripperPlayer:
-    """Plays scripts, one for each gripper, to a cloth's node; they start together.
+    """Player of scripts, one for each gripper, to a cloth's node; they start together.
 
     Args:
         node: the caller's node.

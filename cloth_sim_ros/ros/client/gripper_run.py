@@ -15,7 +15,7 @@ from rclpy.executors import ExternalShutdownException
 
 from cloth_sim_ros.ros.client.gripper_client import describe_holds
 from cloth_sim_ros.ros.client.gripper_player import GripperError, GripperPlayer
-from cloth_sim_ros.ros.process.arguments import ArgumentsError, read_and_start, readable
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, error_text, read_and_start
 from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.ros.timing.cloth_clock import ClothTime
 from cloth_sim_ros.ros.timing.sim_time import SimTimeNode
@@ -61,7 +61,7 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
     try:
         node = SimTimeNode("cloth_gripper")
     except (ValueError, RuntimeError) as error:
-        return _refuse(readable(error))
+        return _refuse(error_text(error))
     log = node.get_logger()
     player = GripperPlayer(
         node,

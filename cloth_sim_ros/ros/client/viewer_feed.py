@@ -43,7 +43,7 @@ _SILENCE = 5.0
 
 
 class ViewerFeed:
-    """Subscribes to the topics of a cloth's node, and forwards their bytes and the node's parameters to `send`.
+    """Subscriber of a cloth node's topics, whose bytes and the node's parameters it forwards to `send`.
 
     A topology restarts the feed: the node may have other grippers now. Then the parameters are read, and the
     other topics are subscribed to, so that their latched messages come after them.
@@ -94,7 +94,9 @@ class ViewerFeed:
             elif has_service and now > self._next_request:
                 # Again if it is lost: the service may still be that of a node that was killed.
                 self._next_request = now + _REQUEST_PERIOD
-                self._request([*_PARAMETERS, *self._gripper_parameters(self._discovered())], self._on_parameters)
+                self._request(
+                    [*_PARAMETERS, *self._gripper_parameters(self._discovered_grippers())], self._on_parameters
+                )
         elif not (self._n_topologies or self._has_warned) and now - self._start > _SILENCE:
             self._has_warned = True
             topics = self._topics()
@@ -129,7 +131,7 @@ class ViewerFeed:
     def _gripper_parameters(self, grippers: Iterable[str]) -> list[str]:
         return [f"{name}.{leaf}" for name in grippers if name for leaf in _GRIPPER_PARAMETERS]
 
-    def _discovered(self) -> list[str]:
+    def _discovered_grippers(self) -> list[str]:
         """Return the names of the grippers whose topics are discovered, without a request to the node."""
         topics = (topic.removeprefix(f"{self._target}/").split("/") for topic in self._topics())
         return [parts[0] for parts in topics if parts[1:] == ["state"]]

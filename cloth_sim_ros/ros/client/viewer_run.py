@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from cloth_sim_ros.ros.client.viewer_drawing import finish_drawing
 from cloth_sim_ros.ros.client.viewer_feed import ViewerFeed
-from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, readable
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, error_text
 from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.session.message_pipe import pack
 
@@ -43,7 +43,7 @@ def run(argv: Sequence[str], target: str, drawing: subprocess.Popen[bytes], sign
     except ArgumentsError as error:
         return _refuse(str(error))
     except (ValueError, RuntimeError) as error:
-        return _refuse(readable(error))
+        return _refuse(error_text(error))
     except ExternalShutdownException:
         pass
     finally:

@@ -36,7 +36,7 @@ _RESTART_DELAY = 1.0
 
 
 class EnsembleTopic:
-    """Publishes on ~/ensemble the mean and deviation of an ensemble, which a child process runs beside the cloth.
+    """Publisher of ~/ensemble: mean and deviation of an ensemble that a child process runs beside the cloth.
 
     Args:
         node: the node.

@@ -37,7 +37,7 @@ _POLL_SECONDS = 0.25
 
 
 class EnsembleWorker:
-    """Runs the ensemble of one node in the ensemble process."""
+    """Ensemble of one node, as the ensemble process runs it."""
 
     def __init__(self) -> None:
         self._ensemble: Ensemble | None = None

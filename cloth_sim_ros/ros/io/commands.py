@@ -23,7 +23,7 @@ from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.io.output import OPTIONS, RecordSink, overridden_profile
 from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
-from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, checked
+from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, to_ros_time
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
@@ -208,7 +208,7 @@ class CommandSubscriptions:
         self._queue_target(Target(gripper, (p.x, p.y, p.z)), message.header, now)
 
     def _queue_target(self, event: Target | Move, header: Any, now: int) -> None:
-        stamp = checked(header.stamp.sec, header.stamp.nanosec)
+        stamp = to_ros_time(header.stamp.sec, header.stamp.nanosec)
         # Values are checked first, so that an invalid one is reported rather than its frame or stamp.
         self._check(event)
         position, orientation = self._frames.to_cloth(header.frame_id, event.position, event.orientation, stamp)
@@ -219,7 +219,7 @@ class CommandSubscriptions:
         self._queue.put(event, stamp=self._gates[name].accept(stamp, now))
         self._last_target_times[name] = now
         if self.twists is not None:
-            self.twists.stop(name)
+            self.twists.forget_velocity(name)
         if self._queue.n_evicted > n_evicted:
             self._log.warn(
                 "displaced",

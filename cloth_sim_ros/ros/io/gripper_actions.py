@@ -38,7 +38,7 @@ _SUCCEEDED, _ABORTED, _CANCELED = "succeeded", "aborted", "canceled"
 
 
 class GoalError(ValueError):
-    """A goal that is rejected; the message says why."""
+    """Error: a goal of a gripper's action is rejected; the message says why."""
 
 
 @attrs.frozen
@@ -82,7 +82,7 @@ class _Goal:
 
 
 class GripperActions:
-    """Serves the action ~/<gripper>/gripper_cmd of grippers that have one; `serve` creates the servers.
+    """Server of the action ~/<gripper>/gripper_cmd of grippers that have one; `serve` creates it.
 
     Args:
         node: the node.
@@ -162,7 +162,7 @@ class GripperActions:
             try:
                 if self._failure.refusal:
                     raise GoalError(self._failure.refusal)
-                self._simulation.check(self._grasp(gripper, self._read(gripper, request)))
+                self._simulation.check(self._grasp(gripper, self._to_command(gripper, request)))
             except (GoalError, EventError) as error:
                 self._log.warn(f"goal {gripper}", f"goal for gripper '{gripper}' is rejected: {error}")
                 return GoalResponse.REJECT
@@ -173,10 +173,10 @@ class GripperActions:
         with self._failure.callback_lock:
             if (previous := self._goals.get(gripper)) is not None:
                 self._end(previous, _ABORTED, "a newer goal replaces it")
-            command, done = self._read(gripper, handle.request), Future()
+            command, done = self._to_command(gripper, handle.request), Future()
             goal = _Goal(handle, gripper, command, done, self._grasp(gripper, command))
             self._goals[gripper] = self._results[bytes(handle.goal_id.uuid)] = goal
-            self._put(goal)
+            self._queue_grasp(goal)
         handle.execute()
 
     def _on_cancel(self, gripper: str, handle: Any) -> CancelResponse:
@@ -186,8 +186,8 @@ class GripperActions:
                 return CancelResponse.REJECT
             goal.is_canceled, goal.cancel_time = True, time.monotonic()
             if self._simulation.scene.pinches(gripper):
-                goal.event = self._hold(gripper)
-                self._put(goal)
+                goal.event = self._hold_event(gripper)
+                self._queue_grasp(goal)
             return CancelResponse.ACCEPT
         return CancelResponse.REJECT
 
@@ -202,7 +202,7 @@ class GripperActions:
             handle.abort()
         return result
 
-    def _put(self, goal: _Goal) -> None:
+    def _queue_grasp(self, goal: _Goal) -> None:
         """Queue the newest grasp event of a goal; abort the goal if the event takes no effect."""
         event = goal.event
 
@@ -283,14 +283,14 @@ class GripperActions:
         simulation, gripper = self._simulation, goal.gripper
         closed, opened = joint_range(simulation, gripper)
         if simulation.pinching is not None and simulation.scene.pinches(gripper):
-            gap, rate, force = simulation.pinching.drive(gripper)
+            gap, rate, force = simulation.pinching.drive_state(gripper)
             scale = (opened - closed) / simulation.scene.gripper.opening
             return GripperJointState(closed + scale * gap, scale * rate, abs(force))
         index = simulation.grippers.names.index(gripper)
         is_closed = simulation.grippers.is_closed(index)
         return GripperJointState(closed if is_closed else opened, 0.0, self._wrench_forces[index])
 
-    def _read(self, gripper: str, request: Any) -> Command:
+    def _to_command(self, gripper: str, request: Any) -> Command:
         """Convert a goal message of either action type to a command.
 
         Raises:
@@ -312,7 +312,7 @@ class GripperActions:
         opening = command.fraction * scene.gripper.opening
         # Half of the rate of the opening: each pad moves half of the way.
         speed = 0.5 * command.speed * scene.gripper.opening / abs(opened - closed)
-        gap = pinching.drive(gripper)[0]
+        gap = pinching.drive_state(gripper)[0]
         if command.fraction in (0.0, 1.0):
             closes = not command.fraction
         elif opening == 2.0 * pinching.setpoint(gripper)[0]:
@@ -321,12 +321,12 @@ class GripperActions:
             closes = opening < gap
         return Grasp(gripper, closes, opening, command.force, max(speed, MIN_PAD_SPEED) if speed else 0.0)
 
-    def _hold(self, gripper: str) -> Grasp:
+    def _hold_event(self, gripper: str) -> Grasp:
         """Return the grasp event that stops pads at their present opening."""
         pinching, scene = self._simulation.pinching, self._simulation.scene
         assert pinching is not None
         _, force, speed = pinching.setpoint(gripper)
-        gap = min(max(pinching.drive(gripper)[0], 0.0), scene.gripper.opening)
+        gap = min(max(pinching.drive_state(gripper)[0], 0.0), scene.gripper.opening)
         return Grasp(gripper, self._is_closed(gripper), gap, force, speed)
 
     def _is_closed(self, gripper: str) -> bool:

@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class KeypointTopic:
-    """Publishes the poses of the cloth's keypoints on ~/keypoints, in the order of the parameter `keypoints`.
+    """Publisher of the cloth's keypoint poses on ~/keypoints, in the order of the parameter `keypoints`.
 
     Args:
         node: the node.
@@ -50,7 +50,7 @@ class KeypointTopic:
 
 
 class CoverageTopic:
-    """Publishes on ~/coverage the area of a plane that the cloth covers.
+    """Publisher on ~/coverage of the area of a plane that the cloth covers [m^2].
 
     Args:
         node: the node.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Inputs:
-    """Turns commands, TF frames, service requests and parameter changes into events that wait for their frame.
+    """Inputs of the node: commands, TF frames, requests and parameter changes, as events that wait for their frame.
 
     Args:
         node: the node.

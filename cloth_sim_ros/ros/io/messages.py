@@ -27,7 +27,7 @@ CDR = b"\x00\x01\x00\x00"
 
 
 class CloudMessage:
-    """Serializes sensor_msgs/PointCloud2 messages; all but stamp and points is serialized once.
+    """Serializer of sensor_msgs/PointCloud2 messages; all but stamp and points is serialized once.
 
     Args:
         frame_id: coordinate frame.
@@ -48,9 +48,9 @@ class CloudMessage:
         start = bytes(serialize_message(message))[len(CDR) + 8 : -5]
         self._middle = start + struct.pack("<I", points.size)
         # Padded to a multiple of four as on the wire: recorded and received bytes are identical.
-        self._end = aligned(b"\x01", 4)
+        self._end = pad_to_multiple(b"\x01", 4)
 
-    def serialized(self, x: Array, stamp: int, v: Array | None = None, normals: Array | None = None) -> bytes:
+    def serialize(self, x: Array, stamp: int, v: Array | None = None, normals: Array | None = None) -> bytes:
         """Return the CDR bytes of the cloud for positions x [m] and, if it has their fields, v [m/s] and normals.
 
         Args:
@@ -73,11 +73,11 @@ def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
     """
     head = struct.pack("<I", len(triangles)) + np.ascontiguousarray(triangles, dtype="<u4").tobytes()
     head += struct.pack("<I", len(vertices))
-    return CDR + aligned(head, 8) + np.ascontiguousarray(vertices, dtype="<f8").tobytes()
+    return CDR + pad_to_multiple(head, 8) + np.ascontiguousarray(vertices, dtype="<f8").tobytes()
 
 
 class SurfaceMarker:
-    """Serializes the cloth's surface as a visualization_msgs/Marker TRIANGLE_LIST, for RViz.
+    """Serializer of the cloth's surface as a visualization_msgs/Marker TRIANGLE_LIST, for RViz.
 
     Args:
         frame_id: coordinate frame.
@@ -95,13 +95,13 @@ class SurfaceMarker:
         # No field after the points is aligned to 8 bytes, so the tail does not depend on the number of points.
         self._tail = self._tail_length()
 
-    def serialized(self, x: Array, stamp: int) -> bytes:
+    def serialize(self, x: Array, stamp: int) -> bytes:
         """Return the CDR bytes of the Marker for positions x [m], shape (3, n), at a ROS time [ns]."""
         set_stamp(self._message.header.stamp, stamp)
         empty = bytes(serialize_message(self._message))
         head, tail = empty[4 : -self._tail - 4], empty[-self._tail :]
         points = np.ascontiguousarray(x[:, self._corners].T, dtype="<f8").tobytes()
-        return CDR + aligned(head + struct.pack("<I", len(self._corners)), 8) + points + tail
+        return CDR + pad_to_multiple(head + struct.pack("<I", len(self._corners)), 8) + points + tail
 
     @staticmethod
     def _tail_length() -> int:
@@ -134,6 +134,6 @@ def read_stamp(stamp: object) -> int:
     return int(stamp.sec) * SECOND + int(stamp.nanosec)  # type: ignore[attr-defined]
 
 
-def aligned(data: bytes, size: int) -> bytes:
+def pad_to_multiple(data: bytes, size: int) -> bytes:
     """Return bytes padded with zeros to a multiple of a size [bytes], as CDR aligns fields."""
     return data + bytes(-len(data) % size)

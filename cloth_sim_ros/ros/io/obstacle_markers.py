@@ -26,7 +26,7 @@ _COLOUR, _GROUND = ColorRGBA(r=0.45, g=0.5, b=0.58, a=1.0), ColorRGBA(r=0.24, g=
 
 
 class ObstacleMarkers:
-    """Serializes obstacles as a MarkerArray; its namespaces `<node>/<obstacle>` let one display show several cloths.
+    """Serializer of obstacles as a MarkerArray; namespaces `<node>/<obstacle>` let one display show several cloths.
 
     Args:
         solids: the obstacles.
@@ -64,7 +64,7 @@ class ObstacleMarkers:
         #: Indices of the bytes of each stamp and of each pose.
         self._stamps, self._poses = _byte_indices(data, seconds, 8), _byte_indices(data, positions, 56)
 
-    def serialized(self, poses: Array, stamp: int) -> bytes:
+    def serialize(self, poses: Array, stamp: int) -> bytes:
         """Return the CDR bytes of the MarkerArray for poses (obstacle_count, 7) at a ROS time [ns]."""
         self._data[self._stamps] = np.frombuffer(struct.pack("<iI", *divmod(stamp, 10**9)), np.uint8)
         numbers = poses[self._obstacles].astype("<f8")

@@ -31,7 +31,7 @@ _STOP_REPEAT_TIME = 1.0
 
 
 class ObstacleTopics:
-    """Publishes markers and wrenches of obstacles, subscribes to their targets, and warns of stops and lags.
+    """Topics of obstacles: publisher of markers and wrenches, subscriber of targets; it warns of stops and lags.
 
     Args:
         node: the node.
@@ -171,5 +171,5 @@ class ObstacleTopics:
         assert self._output is not None
         self._poses = self._solids()[1]
         # Without a check for subscribers: the topic is latched (transient local).
-        self._published = self._markers.serialized(self._poses, stamp)
+        self._published = self._markers.serialize(self._poses, stamp)
         self._output.send(self._published, stamp)

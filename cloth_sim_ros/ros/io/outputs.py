@@ -40,7 +40,7 @@ _PAUSED_PERIOD = 1.0
 
 
 class ClothTopics:
-    """Publishes ~/points, ~/topology, ~/mesh and ~/<gripper>/wrench of one cloth."""
+    """Publisher of ~/points, ~/topology, ~/mesh and ~/<gripper>/wrench of one cloth."""
 
     def __init__(self, node: Node, scene: Scene, sink: RecordSink) -> None:
         self._shape = scene.shape
@@ -80,12 +80,12 @@ class ClothTopics:
         """
         if self.points.has_consumers:
             normals = vertex_normals(x, self._triangles) if fields.normal else None
-            cloud = self._cloud(fields).serialized(x, stamp, velocities if fields.velocity else None, normals)
+            cloud = self._cloud(fields).serialize(x, stamp, velocities if fields.velocity else None, normals)
             self.points.send(cloud, stamp)
             self.published += 1
         # Not recorded, because it is large and follows from points and topology.
         if self.mesh.has_subscribers:
-            self.mesh.publish(self.marker.serialized(x, stamp))
+            self.mesh.publish(self.marker.serialize(x, stamp))
         for output, wrench in zip(self.wrenches, wrenches, strict=True):
             if output.has_consumers:
                 output.send(wrench_message(wrench, frame_id=self._frame_id, stamp=stamp), stamp)
@@ -102,7 +102,7 @@ class ClothTopics:
 
 
 class Outputs:
-    """Owns all published topics of the node; publishes and records each frame on them.
+    """Owner of all published topics of the node; publishes and records each frame on them.
 
     Args:
         node: the node.
@@ -180,7 +180,7 @@ class Outputs:
         self.cloth.send(state.x, frame.wrenches, stamp, velocities=state.v, fields=fields)
         if self._sensors is not None:
             self._sensors.send(frame.wrenches, stamp)
-        self.states.show(frame, stamp)
+        self.states.send(frame, stamp)
         self.clock.send(frame.time)
         self.obstacles.send(frame, stamp)
         self.transforms.send(stamp)

@@ -25,7 +25,7 @@ from cloth_sim_ros.ros.timing.sim_time import SIM_TIME, SimTimeNode, check_sim_t
 from cloth_sim_ros.scene import frame_ids, gripper_parameters, obstacles
 from cloth_sim_ros.scene.fabrics import fabric_parameters
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
-from cloth_sim_ros.scene.parameters.declare import Faults, Parameter, ParameterError, read_only
+from cloth_sim_ros.scene.parameters.declare import Faults, Parameter, ParameterError, read_only_message
 from cloth_sim_ros.scene.parameters.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
@@ -109,14 +109,16 @@ class SceneNode(SimTimeNode):
         """
         names = [entry.name for entry in parameter_list]
         described = [
-            name for name in obstacles.described(names, Scene.groups()) if not self.has_parameter(f"{name}.shape")
+            name
+            for name in obstacles.described_obstacles(names, Scene.groups())
+            if not self.has_parameter(f"{name}.shape")
         ]
-        new = [entry for name in described for entry in obstacles.declared(name)]
+        new = [entry for name in described for entry in obstacles.declarations(name)]
         grippers = self.get_parameter_or("grippers").value or ()
-        for name in gripper_parameters.individual(names, Scene.groups(), described):
+        for name in gripper_parameters.individual_names(names, Scene.groups(), described):
             if name.rpartition(".")[0] in grippers and not self.has_parameter(name):
-                if not (entry := gripper_parameters.declared(name)).live:
-                    return SetParametersResult(successful=False, reason=read_only(name))
+                if not (entry := gripper_parameters.declaration(name)).live:
+                    return SetParametersResult(successful=False, reason=read_only_message(name))
                 new.append(entry)
         known = {entry.name for entry in new}
         unknown = [name for name in names if name not in known and not self.has_parameter(name)]
@@ -221,7 +223,7 @@ def describe(entry: Parameter) -> ParameterDescriptor:
 
 
 class LiveParameters:
-    """Validates changes of ROS parameters at once, and passes accepted ones on, effective with the next frame.
+    """Validator of changes of ROS parameters; it passes valid ones on, effective with the next frame.
 
     Args:
         node: the node that owns the parameters.

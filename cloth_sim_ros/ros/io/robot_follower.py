@@ -18,7 +18,7 @@ from cloth_sim_ros.ros.io.joint_states import JointStates
 from cloth_sim_ros.ros.io.output import OPTIONS, RecordSink, overridden_profile
 from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.io.robot_start import JOINT_STATES_QOS, link_poses, mount_of
-from cloth_sim_ros.ros.io.stamps import OldStampError, checked
+from cloth_sim_ros.ros.io.stamps import OldStampError, to_ros_time
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.robot.links import RobotLinks
@@ -35,7 +35,7 @@ _SILENCE = 1_000_000_000
 
 
 class RobotFollower:
-    """Moves the obstacles of a robot's links to the poses of its joint states or TF frames.
+    """Source of events that move the obstacles of a robot's links to its joint states or TF frames.
 
     Args:
         node: the node.
@@ -72,7 +72,7 @@ class RobotFollower:
 
             self._stops = PadStops(simulation.scene, links)
             # The start counts as accepted: the first state may close the fingers at once.
-            self._stops.stopped(states.positions)
+            self._stops.limit_positions(states.positions)
         #: ROS time of the newest state, or of the first frame before it [ns]; 0 before both.
         self._last_state = 0
         #: True if the next frame has to repeat the command of the links; the same from the next state on.
@@ -110,7 +110,9 @@ class RobotFollower:
             return []
         accepted = None if self._stops is None else self._stops.accepted
         try:
-            positions = self._states.positions if self._stops is None else self._stops.stopped(self._states.positions)
+            positions = (
+                self._states.positions if self._stops is None else self._stops.limit_positions(self._states.positions)
+            )
             poses = link_poses(self._links, positions, self._frames, self._settings)
             if np.array_equal(poses, self._poses) and not must_send:
                 return []
@@ -171,7 +173,7 @@ class RobotFollower:
             # Velocities or efforts alone are valid, and say nothing of the links.
             return
         try:
-            stamp = checked(message.header.stamp.sec, message.header.stamp.nanosec)
+            stamp = to_ros_time(message.header.stamp.sec, message.header.stamp.nanosec)
             if self._states.add(message.name, message.position, stamp, now):
                 self._last_state = now
                 self._must_send, self._resends = self._must_send or self._resends, False

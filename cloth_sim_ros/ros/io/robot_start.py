@@ -18,7 +18,7 @@ from std_msgs.msg import String
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.ros.io.joint_states import JointStates
-from cloth_sim_ros.ros.io.stamps import checked
+from cloth_sim_ros.ros.io.stamps import to_ros_time
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.process.stopping import StopRequestedError
 from cloth_sim_ros.scene.parameters.declare import ParameterError
@@ -40,7 +40,7 @@ _MESSAGE_PERIOD, _POLL_PERIOD = 5.0, 0.1
 
 
 class RobotStart:
-    """Waits at the node's start for a robot's description and poses, and adds its links to a scene as obstacles.
+    """Wait, at the node's start, for a robot's description and poses; adds its links to a scene as obstacles.
 
     Args:
         node: the node, which is in no executor yet.
@@ -150,7 +150,7 @@ class RobotStart:
             ),
         )
         if missing := self.states.missing:
-            fallback = links.kinematics.positions({})
+            fallback = links.kinematics.joint_positions({})
             is_missing = ~self.states.is_known
             self.states.positions[is_missing] = fallback[is_missing]
             self._node.get_logger().warning(
@@ -177,7 +177,7 @@ class RobotStart:
             return
         now, time_of = self._node.get_clock().now().nanoseconds, message.header.stamp
         try:
-            self.states.add(message.name, message.position, checked(time_of.sec, time_of.nanosec), now)
+            self.states.add(message.name, message.position, to_ros_time(time_of.sec, time_of.nanosec), now)
         except ValueError as error:
             self._node.get_logger().warning(f"a joint state is refused: {error}", throttle_duration_sec=1.0)
 

@@ -19,7 +19,7 @@ TOPIC = "ft_sensor_wrench"
 
 
 class SensorWrenches:
-    """Publishes each gripper's wrench as a force-torque sensor would, on ~/<gripper>/ft_sensor_wrench.
+    """Publisher of each gripper's wrench as a force-torque sensor would report it, on ~/<gripper>/ft_sensor_wrench.
 
     The topic is not recorded, because it follows from ~/<gripper>/wrench and the pose.
 

@@ -33,7 +33,7 @@ CLOSING_TIMEOUT = 30.0
 
 
 class Services:
-    """Serves reset, pause, step, record, save_state and the grippers' close; `serve` creates the services.
+    """Servers of reset, pause, step, record, save_state and the grippers' close; `serve` creates them.
 
     Args:
         node: the node.

@@ -32,7 +32,7 @@ _RUNNING = "the cloth is running; pause it first"
 
 
 class SimulationInterfaces:
-    """Serves the services and the action of simulation_interfaces for one cloth; `serve` creates the servers.
+    """Servers of the services and the action of simulation_interfaces for one cloth; `serve` creates them.
 
     Args:
         node: the node.

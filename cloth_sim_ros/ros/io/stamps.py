@@ -14,18 +14,18 @@ STAMP_EXPIRY = _SECOND
 
 
 class StampError(ValueError):
-    """A stamp that is refused; the message says why."""
+    """Error: a command's stamp is refused; the message says why."""
 
 
 class NoTimeError(StampError):
-    """A stamp that is no valid time: negative, or with a second or more of nanoseconds."""
+    """Error: a stamp is no valid time: negative, or with a second or more of nanoseconds."""
 
 
 class OldStampError(StampError):
-    """A stamp older than the newest one, e.g. of the same gripper's commands."""
+    """Error: a stamp is older than the newest one, e.g. of the same gripper's commands."""
 
 
-def checked(sec: int, nanosec: int) -> int:
+def to_ros_time(sec: int, nanosec: int) -> int:
     """Convert a message's stamp to ROS time [ns], and refuse an invalid one.
 
     Raises:
@@ -40,7 +40,7 @@ def checked(sec: int, nanosec: int) -> int:
 
 @attrs.define
 class StampGate:
-    """Refuses stamps of successive commands, e.g. of one gripper, that are out of order or too far ahead."""
+    """Check of successive stamps, e.g. of one gripper's commands: refuses those out of order or too far ahead."""
 
     _newest: int | None = None
     _last_command: int = 0

@@ -24,7 +24,7 @@ _LABELS = {
 
 
 class States:
-    """Publishes the latched topics ~/state and ~/<gripper>/state, the latter after every grasp.
+    """Publisher of the latched topics ~/state and ~/<gripper>/state, the latter after every grasp.
 
     Args:
         node: the node.
@@ -58,7 +58,7 @@ class States:
         for output, data in self._latest.items():
             output.record(data, stamp)
 
-    def show(self, frame: Frame, stamp: int) -> None:
+    def send(self, frame: Frame, stamp: int) -> None:
         """Publish the states that a frame changed, at a ROS time [ns]."""
         self._update_state(stamp)
         if not frame.events and not frame.pinches:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
+from cloth_sim_ros.ros.io.messages import CDR, SECOND, pad_to_multiple
 from cloth_sim_ros.ros.io.output import Output, RecordSink
 from cloth_sim_ros.scene.cameras import optical_frames
 from cloth_sim_ros.scene.parameters.declare import ParameterError
@@ -23,7 +23,7 @@ CLOTH_FRAME = "cloth"
 
 
 class TfBroadcaster:
-    """Publishes the frames of grippers, cloth and cameras on /tf while `tf.publish` is set.
+    """Publisher of the frames of grippers, cloth and cameras on /tf while `tf.publish` is set.
 
     The frames are `<node>/<gripper>`, `<node>/cloth` at the centre of mass, and `<node>/<camera>_optical_frame`.
 
@@ -92,9 +92,9 @@ def transforms_bytes(frames: Iterable[tuple[str, Sequence[float]]], *, frame_id:
     listed = list(frames)
     data = struct.pack("<I", len(listed))
     for name, pose in listed:
-        data = aligned(data, 4) + struct.pack("<iI", *divmod(stamp, SECOND))
+        data = pad_to_multiple(data, 4) + struct.pack("<iI", *divmod(stamp, SECOND))
         for text in (frame_id, name):
             encoded = text.encode() + b"\0"
-            data = aligned(data, 4) + struct.pack("<I", len(encoded)) + encoded
-        data = aligned(data, 8) + struct.pack("<7d", *pose)
+            data = pad_to_multiple(data, 4) + struct.pack("<I", len(encoded)) + encoded
+        data = pad_to_multiple(data, 8) + struct.pack("<7d", *pose)
     return CDR + data

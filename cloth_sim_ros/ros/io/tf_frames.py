@@ -29,11 +29,11 @@ Pose = tuple[tuple[float, ...], tuple[float, ...] | None]
 
 
 class FrameError(ValueError):
-    """A pose that can't be transformed into the cloth's frame; the message says why."""
+    """Error: a pose can't be transformed into the cloth's frame; the message says why."""
 
 
 class FrameTransformer:
-    """Transforms poses into the cloth's frame by tf2, or by the links of a robot.
+    """Transformer of poses into the cloth's frame, by tf2 or by the links of a robot.
 
     The first pose in another frame imports tf2 and subscribes to /tf.
     """
@@ -135,7 +135,7 @@ class FrameTransformer:
 
 
 class TfFollower:
-    """Makes grippers and obstacles follow TF frames, and opens grippers without commands after `gripper.timeout`.
+    """Source of targets at followed TF frames; also opens grippers without commands after `gripper.timeout`.
 
     Args:
         simulation: the cloth.

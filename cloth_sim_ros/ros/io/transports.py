@@ -74,7 +74,7 @@ def large_segment(message_bytes: int, rate: float) -> Iterator[str]:
 @contextlib.contextmanager
 def _segment(requested: Callable[[], int]) -> Iterator[str]:
     with contextlib.ExitStack() as stack:
-        yield _enter(stack, requested()) if not _has_users_transports() else ""
+        yield _set_segment(stack, requested()) if not _has_users_transports() else ""
 
 
 def segment_bytes(parameters: Mapping[str, Any]) -> int:
@@ -126,7 +126,7 @@ def _has_users_transports() -> bool:
     return not skipped and any(os.path.exists(name) for name in _USERS_FILES)
 
 
-def _enter(stack: contextlib.ExitStack, requested: int) -> str:
+def _set_segment(stack: contextlib.ExitStack, requested: int) -> str:
     """Set the environment for a segment of a size [bytes], or for UDP if memory is short; return a warning or ""."""
     requested = min(requested, _MAX_SEGMENT)
     try:
@@ -137,7 +137,7 @@ def _enter(stack: contextlib.ExitStack, requested: int) -> str:
             text = config_file(_PROFILE).read_text().replace(_PROFILE_SEGMENT, str(size))
             _set_variables(stack, {_PROFILES_FILE: _write(stack, text)})
             return ""
-        _set_variables(stack, _udp(stack))
+        _set_variables(stack, _udp_variables(stack))
     except OSError as error:
         return (
             f"no shared-memory segment for clouds: {error}; a suspended subscriber may silence the clouds of all "
@@ -150,7 +150,7 @@ def _enter(stack: contextlib.ExitStack, requested: int) -> str:
     )
 
 
-def _udp(stack: contextlib.ExitStack) -> dict[str, str | None]:
+def _udp_variables(stack: contextlib.ExitStack) -> dict[str, str | None]:
     """Return the environment variables that restrict Fast DDS to UDP."""
     local = os.environ.get(_ONLY_LOCAL) == "1" or os.environ.get(_RANGE, "").upper() == "LOCALHOST"
     if not local:

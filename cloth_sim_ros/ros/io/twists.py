@@ -14,7 +14,7 @@ from typing import Any
 import attrs
 
 from cloth_sim_ros.physics.plan.gripper_path import normalized, rotated_by, rotation_matrix
-from cloth_sim_ros.ros.io.stamps import StampGate, checked
+from cloth_sim_ros.ros.io.stamps import StampGate, to_ros_time
 from cloth_sim_ros.ros.io.tf_frames import FrameTransformer
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.event_checks import EventError
@@ -26,7 +26,7 @@ _MAX_ROTATION = 3.0
 
 
 class TwistError(ValueError):
-    """A velocity that is refused; the message says why."""
+    """Error: a commanded velocity is refused; the message says why."""
 
 
 @attrs.frozen
@@ -41,7 +41,7 @@ class _Twist:
 
 
 class TwistCommands:
-    """Turns the newest commanded velocity of each gripper into a target for each frame.
+    """Newest commanded velocity of each gripper, turned into a target for each frame.
 
     Args:
         simulation: the cloth.
@@ -69,15 +69,15 @@ class TwistCommands:
             raise TwistError(f"the gripper follows the TF frame '{frame}' (gripper.frame)")
         if not grippers.is_placed(grippers.names.index(gripper)):
             raise TwistError("the gripper has had no target yet, so it is nowhere: send a target first")
-        stamp = checked(message.header.stamp.sec, message.header.stamp.nanosec)
+        stamp = to_ros_time(message.header.stamp.sec, message.header.stamp.nanosec)
         rotation = self._rotation(gripper, message.header.frame_id, stamp)
         stamp = min(self._gates[gripper].accept(stamp, now), now)
         section = scene.gripper
-        linear = self._limited(gripper, "twist_max_speed", linear, section.twist_max_speed, "m/s")
-        angular = self._limited(gripper, "twist_max_rate", angular, section.twist_max_rate, "rad/s")
+        linear = self._limit(gripper, "twist_max_speed", linear, section.twist_max_speed, "m/s")
+        angular = self._limit(gripper, "twist_max_rate", angular, section.twist_max_rate, "rad/s")
         self._twists[gripper] = _Twist((rotation @ linear).tolist(), (rotation @ angular).tolist(), stamp)
 
-    def stop(self, gripper: str) -> None:
+    def forget_velocity(self, gripper: str) -> None:
         """Forget the velocity of a gripper, because a target was sent to it."""
         self._twists.pop(gripper, None)
 
@@ -109,7 +109,7 @@ class TwistCommands:
                 continue
             # From the pose, not the target: a gripper that its speed limit or the cloth stops does not wind up.
             pose = grippers.poses()[index].tolist()
-            target = Target(name, *_moved(pose, twist.linear, twist.angular, scene.period))
+            target = Target(name, *_pose_after(pose, twist.linear, twist.angular, scene.period))
             try:
                 simulation.check(target)
             except EventError as error:
@@ -128,7 +128,7 @@ class TwistCommands:
         assert orientation is not None
         return rotation_matrix(normalized(orientation))
 
-    def _limited(self, gripper: str, leaf: str, vector: list[float], limit: float, unit: str) -> list[float]:
+    def _limit(self, gripper: str, leaf: str, vector: list[float], limit: float, unit: str) -> list[float]:
         """Return a velocity shortened to a limit, and warn if it was longer."""
         length = math.hypot(*vector)
         if length <= limit:
@@ -140,7 +140,7 @@ class TwistCommands:
         return [component * (limit / length) for component in vector]
 
 
-def _moved(
+def _pose_after(
     pose: Sequence[float], linear: Sequence[float], angular: Sequence[float], duration: float
 ) -> tuple[list[float], list[float]]:
     """Return position [m] and orientation of a pose after a motion at velocities [m/s, rad/s] for a time [s]."""

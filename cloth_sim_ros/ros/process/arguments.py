@@ -20,7 +20,7 @@ _UNSET = f"or unset {_SECURE}"
 
 
 class ArgumentsError(ValueError):
-    """ROS arguments that rclpy can't read, or an environment in which no node can start; the message says why."""
+    """Error: rclpy can't read the ROS arguments, or can't start in the environment; the message says why."""
 
 
 def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
@@ -35,21 +35,21 @@ def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argp
         check_environment(os.environ, argv)
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        raise ArgumentsError(readable(error)) from error
+        raise ArgumentsError(error_text(error)) from error
     return options
 
 
-def readable(error: Exception) -> str:
+def error_text(error: Exception) -> str:
     """Return the message of an rclpy error without its source locations, or an explanation if one is known."""
     parts = [part for part in str(error).replace("\n", ", ").split(", at ") if not part.startswith(("/", "./"))]
     message = ", at ".join(parts).strip() if parts else str(error)
-    return explain(message) or message
+    return explain_error(message) or message
 
 
 def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
     """Refuse an environment in which rclpy can't start: its log folder or, with security, its keystore.
 
-    With security, the RuntimeWarning that accompanies an error known to `explain` is switched off.
+    With security, the RuntimeWarning that accompanies an error known to `explain_error` is switched off.
 
     Args:
         environment: environment variables by name.
@@ -67,7 +67,7 @@ def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) 
         _check_keystore(environment, arguments)
 
 
-def explain(message: str) -> str:
+def explain_error(message: str) -> str:
     """Return one sentence for an rclpy error that the environment causes; empty for other errors."""
     if "security libraries" in message:
         return (

@@ -25,11 +25,11 @@ _MAX_REASON_LENGTH = 300
 
 
 class NodeFailedError(RuntimeError):
-    """A frame failed, and the node has to end because `on_failure` is `exit`."""
+    """Error: a frame failed, and the node has to end because `on_failure` is `exit`."""
 
 
 class FailureGuard:
-    """Runs frames; an exception in one restores the state before it and stops time until a reset.
+    """Guard around frames: an exception in one restores the state before it and stops time until a reset.
 
     MemoryError, StopRequestedError and exceptions outside the class Exception propagate. If a callback that holds
     `callback_lock` raises, the next frame fails.

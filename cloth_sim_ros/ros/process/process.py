@@ -15,7 +15,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from cloth_sim_ros.ros.io.transports import cloud_transports
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.process.arguments import ArgumentsError, read_and_start, readable
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, error_text, read_and_start
 from cloth_sim_ros.ros.process.command_line_parameters import command_line_parameters, unused_files
 from cloth_sim_ros.ros.process.failure import NodeFailedError
 from cloth_sim_ros.ros.process.options import parser
@@ -75,7 +75,7 @@ def _run(
     except ParameterError as error:
         return _refuse(*error.sentences)
     except (ValueError, RuntimeError, *_BAD_NAMES) as error:
-        return _refuse(readable(error))
+        return _refuse(error_text(error))
     if warning:
         cloth.node.get_logger().warning(warning)
     started = failed = False
@@ -103,7 +103,7 @@ def _run(
     except (RecordingUnavailableError, ValueError, *_BAD_NAMES) as error:
         if started:
             raise
-        return _refuse(readable(error))
+        return _refuse(error_text(error))
     finally:
         saved = cloth.close()
         if cloth.frame_aborted:

@@ -26,7 +26,7 @@ _END_TIMEOUT, _KILL_TIMEOUT = 1.0, 1.0
 
 
 class WorkerProcess(Generic[Job]):
-    """Runs a module in a child process, sends it the newest job and receives its answers, without blocking.
+    """Child process that runs a module: it takes the newest job and returns answers, without blocking the node.
 
     Args:
         module: module that the process runs, with this process's id as argument. It reads pickled objects from its

@@ -57,7 +57,7 @@ class InterruptibleLock:
 
 
 class WorkerThread:
-    """Runs one job at a time in a worker thread, while the main thread waits and polls for stop signals.
+    """Thread that runs one job at a time, while the main thread waits and polls for stop signals.
 
     Jobs of other threads run in the calling thread.
 

@@ -29,7 +29,7 @@ _FRAME_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class BagTopics:
-    """Publishes ~/frame and ~/snapshot, from which a bag can be run again, while ~/frame has subscribers.
+    """Publisher of ~/frame and ~/snapshot, from which a bag can be run again, while ~/frame has subscribers.
 
     Args:
         node: the node.
@@ -82,7 +82,7 @@ class BagTopics:
                 self._log.error("~/snapshot: no memory is left for it; end other processes, or take a smaller cloth")
 
     def next_labels(self, stamp: int) -> dict[str, Any]:
-        """Return id of the numbering, number and stamp [ns] of the next frame record; empty without subscribers.
+        """Count the next frame record; return its numbering, number and stamp [ns], or nothing without subscribers.
 
         Without subscribers there are none, and the record is not published.
         """

@@ -4,8 +4,8 @@
 
 
 class RecordingUnavailableError(RuntimeError):
-    """Recording is not possible; the message says why."""
+    """Error: recording is not possible; the message says why."""
 
 
 class RecordingNotInstalledError(RecordingUnavailableError):
-    """The libraries for recording are not installed."""
+    """Error: the libraries for recording are not installed."""

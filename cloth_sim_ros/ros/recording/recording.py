@@ -32,7 +32,7 @@ _COMPRESSION = {"none": (), "lz4": ("lz4.frame",), "zstd": ("zstandard",)}
 
 
 class SessionRecording:
-    """Records one node's frames and messages into session files; at most one recording runs at a time.
+    """Recording of one node's frames and messages into session files; at most one runs at a time.
 
     Args:
         node_name: the node's full name, e.g. ``/cloth_sim``.

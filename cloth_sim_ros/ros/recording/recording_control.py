@@ -25,7 +25,7 @@ _ROSOUT_QOS = QoSProfile(depth=1000)
 
 
 class RosoutRecorder:
-    """Records this node's messages on /rosout and /parameter_events while a recording runs.
+    """Recorder of this node's messages on /rosout and /parameter_events while a recording runs.
 
     Args:
         node: the node.
@@ -67,7 +67,7 @@ class RosoutRecorder:
 
 @attrs.define(eq=False)
 class RecordingControl:
-    """Starts and ends recordings: with the node, by ~/record, and around failures of the node.
+    """Start and end of recordings: with the node, by ~/record, and around failures of the node.
 
     Args:
         node: the node.

@@ -67,7 +67,7 @@ class FrameTally:
 
 
 class DiagnosticsPublisher:
-    """Publishes the node's diagnostics on /diagnostics.
+    """Publisher of the node's diagnostics on /diagnostics.
 
     Args:
         node: the node.

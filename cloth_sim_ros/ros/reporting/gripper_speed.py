@@ -9,7 +9,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class GripperSpeedMonitor:
-    """Warns when a gripper begins to lag because its target moves faster than its speed limit.
+    """Monitor that warns when a gripper begins to lag because its target moves faster than its speed limit.
 
     Args:
         simulation: the cloth.
@@ -18,17 +18,17 @@ class GripperSpeedMonitor:
 
     def __init__(self, simulation: Simulation, log: ThrottledLog) -> None:
         self._simulation, self._log = simulation, log
-        self._limited: set[str] = set()
+        self._limit: set[str] = set()
 
     def check(self) -> None:
         """Warn of grippers that reached their speed limit in the newest frame."""
         grippers = self._simulation.grippers
         limited = grippers.speed_limited
-        if not limited and not self._limited:
+        if not limited and not self._limit:
             return
-        for name in limited.keys() - self._limited:
+        for name in limited.keys() - self._limit:
             self._log.warn(f"speed {name}", self._warning(name, limited[name]))
-        self._limited = set(limited)
+        self._limit = set(limited)
 
     def _warning(self, name: str, requested: float) -> str:
         """Return the warning for a gripper whose target asks for a speed [m/s] above its limit."""

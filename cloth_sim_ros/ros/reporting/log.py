@@ -16,7 +16,7 @@ _INFO, _WARN, _ERROR = "info", "warn", "error"
 
 
 class ThrottledLog:
-    """Logs each kind of message at most once in a period, with the number of messages omitted since.
+    """Log of each kind of message at most once in a period, with the number of messages omitted since.
 
     Args:
         logger: a node's logger.

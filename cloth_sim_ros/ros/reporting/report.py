@@ -58,7 +58,7 @@ class DiagnosticsSource(Protocol):
 
 @attrs.define(eq=False)
 class DiagnosticsCollector:
-    """Collects level, summary and key-value pairs of one message on /diagnostics.
+    """Collector of level, summary and key-value pairs of one message on /diagnostics.
 
     Args:
         node: the node.

@@ -28,7 +28,7 @@ MAINTENANCE_PERIOD = 0.25
 
 
 class Reporting:
-    """Writes the node's log lines on frames, publishes /diagnostics, and runs the accuracy monitor.
+    """Reports of the node: its log lines on frames, /diagnostics, and the accuracy monitor.
 
     Args:
         node: the node.

@@ -14,7 +14,7 @@ MAX_EDGES = 400_000
 
 
 class StrainGauge:
-    """Measures the largest elongation of the edges of triangles relative to their rest lengths."""
+    """Gauge of the largest elongation of triangles' edges relative to their rest lengths."""
 
     def __init__(self, scene: Scene) -> None:
         sheet = scene.sheet

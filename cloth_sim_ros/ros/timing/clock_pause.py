@@ -10,7 +10,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class ClockPause:
-    """Pauses the simulation while a followed /clock stands still, and restores the user's pause afterwards.
+    """Pause of the simulation while a followed /clock stands still; the user's pause is restored afterwards.
 
     Args:
         simulation: the cloth.

@@ -18,7 +18,7 @@ _QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class ClockPublisher:
-    """Publishes simulated time on /clock, and makes it the ROS time of the node itself.
+    """Publisher of simulated time on /clock, which is also the ROS time of the node itself.
 
     Args:
         node: the cloth's node, which must not follow /clock.

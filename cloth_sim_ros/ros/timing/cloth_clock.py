@@ -22,7 +22,7 @@ _SLOW_FACTOR, _DELAY_FRACTION = 1.2, 0.25
 
 
 class ClothClock:
-    """Publishes the simulated time of each frame on ~/clock.
+    """Publisher of each frame's simulated time on ~/clock.
 
     The topic is not recorded, because the frame records hold the time.
 

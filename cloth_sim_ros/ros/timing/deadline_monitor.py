@@ -29,7 +29,7 @@ _ITSELF = "itself"
 
 
 class DeadlineMonitor:
-    """Logs when frames that are due by wall time start and stop missing their period.
+    """Monitor that logs when frames due by wall time start and stop missing their period.
 
     Args:
         period: time between two frames [s].
@@ -138,7 +138,7 @@ class DeadlineMonitor:
 
 
 class FirstContact:
-    """Detects the first contact of the cloth with each obstacle, with pads, and with itself.
+    """Detector of the first contact of the cloth with each obstacle, with pads, and with itself.
 
     Args:
         simulation: the cloth.

@@ -47,7 +47,7 @@ class QueuedEvent:
 
 
 class QueueFullError(RuntimeError):
-    """The queue of events is full and holds no target that could be evicted."""
+    """Error: the queue of events is full and holds no target that could be evicted."""
 
 
 class EventQueue:

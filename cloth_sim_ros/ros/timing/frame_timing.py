@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class FrameTiming:
-    """Starts the frames of a node when due, counts late ones, and governs the tolerance.
+    """Timing of a node's frames: starts them when due, counts late ones, and governs the tolerance.
 
     Args:
         node: the node.

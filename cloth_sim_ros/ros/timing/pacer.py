@@ -59,7 +59,7 @@ class FrameTick:
 
 
 class WallPacer:
-    """Requests a frame at each period of wall time; if a frame takes longer, the ticks that it missed are skipped.
+    """Source of a frame tick at each period of wall time; a frame that takes longer skips the ticks that it missed.
 
     A timer thread waits for each tick and requests a spin of the executor. The executor drains the command queues, then
     runs the frame. A spin checks every entity of the node, which costs as much time as the frame of a small cloth.
@@ -225,7 +225,7 @@ class WallPacer:
 
 
 class ClockPacer:
-    """Requests a frame at each multiple of the period on /clock, however often /clock is published.
+    """Source of a frame tick at each multiple of the period on /clock, however often /clock is published.
 
     After a jump back, ticks start again from there. After a jump forward, the ticks of the last second are caught up.
     While `/clock` stands, ticks come by wall time with the standing time as stamp; their frames advance no time.

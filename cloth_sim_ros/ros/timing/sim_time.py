@@ -65,7 +65,7 @@ class SimTimeNode(Node):
 
 
 class ClockSilence:
-    """Warns of a silent /clock after 5 s, and once a minute from then on.
+    """Warning of a silent /clock after 5 s, and once a minute from then on.
 
     Args:
         log: a node's logger.

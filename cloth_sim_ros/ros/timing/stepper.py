@@ -20,7 +20,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class Stepper:
-    """Computes frames of the simulation with the events that wait in a queue.
+    """Computation of the simulation's frames with the events that wait in a queue.
 
     Args:
         simulation: the cloth.
@@ -84,7 +84,7 @@ class Stepper:
                     entries.append(QueuedEvent(event=Pause(True)))
                 else:
                     # An accepted event may address an obstacle that was removed meanwhile.
-                    impossible = self._impossible(entries)
+                    impossible = self._impossible_events(entries)
                     if not impossible:
                         raise
                     refused += impossible
@@ -109,7 +109,7 @@ class Stepper:
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
 
-    def _impossible(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
+    def _impossible_events(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
         """Return the events that can't take effect any more, with the reasons."""
         impossible = []
         for entry in entries:

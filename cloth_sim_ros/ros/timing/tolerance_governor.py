@@ -32,7 +32,7 @@ _MIN_STEP_RATIO = 1.1
 
 
 class ToleranceGovernor:
-    """Relaxes the tolerance while frames overrun and accuracy limits the step; restores it afterwards.
+    """Governor that relaxes the tolerance while frames overrun and accuracy limits the step, and restores it later.
 
     Args:
         simulation: the cloth; the governor is active if its parameter `overload` is `relax`.

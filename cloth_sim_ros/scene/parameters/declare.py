@@ -32,7 +32,7 @@ KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": s
 
 
 class ParameterError(ValueError):
-    """A parameter that is unknown, of the wrong type, out of range, or read-only."""
+    """Error: a parameter is unknown, of the wrong type, out of range, or read-only."""
 
     @property
     def sentences(self) -> list[str]:
@@ -41,7 +41,7 @@ class ParameterError(ValueError):
 
 
 class ParameterErrors(ParameterError):
-    """An error with several faults of parameters, one per line of its message."""
+    """Error of several faults of parameters, one per line of its message."""
 
     def __init__(self, sentences: Sequence[str]) -> None:
         super().__init__("\n".join(sentences))
@@ -54,7 +54,7 @@ class ParameterErrors(ParameterError):
 
 
 class Faults:
-    """Collects the messages of several faults of parameters, so that one error names all of them."""
+    """Collection of messages of several faults of parameters, so that one error names all of them."""
 
     def __init__(self) -> None:
         self._sentences: list[str] = []
@@ -147,11 +147,11 @@ class Parameter:
             return self._check_one(value)
         listed = isinstance(value, Sequence) or hasattr(value, "__array__")
         if not listed or isinstance(value, str | bytes) or getattr(value, "ndim", 1) != 1:
-            raise ParameterError(f"{self.name} is {_shown(value)}; it must be an array of {self.element}")
+            raise ParameterError(f"{self.name} is {_format_value(value)}; it must be an array of {self.element}")
         values = tuple(self._check_one(entry) for entry in value)
         if self.length is not None and len(values) != self.length:
             raise ParameterError(
-                f"{self.name} has {len(values)} entries, {_shown(list(values))}; it must have {self.length}"
+                f"{self.name} has {len(values)} entries, {_format_value(list(values))}; it must have {self.length}"
             )
         return values
 
@@ -165,12 +165,12 @@ class Parameter:
             raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")
         if type(value) is not kind:
             raise ParameterError(
-                f"{self.name} is {_shown(value)}, of type {type(value).__name__}; it must be {self.kind}"
+                f"{self.name} is {_format_value(value)}, of type {type(value).__name__}; it must be {self.kind}"
             )
         if isinstance(value, int | float) and kind is not bool:
             self._check_range(value)
         if self.choices and value not in self.choices:
-            raise ParameterError(f"{self.name} is {_shown(value)}; it must be one of {', '.join(self.choices)}")
+            raise ParameterError(f"{self.name} is {_format_value(value)}; it must be one of {', '.join(self.choices)}")
         return value
 
     def _check_range(self, value: float) -> None:
@@ -193,8 +193,8 @@ def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:
     """Declare a field of a configuration class as a parameter; options are those of `Parameter`."""
     if kind.endswith("[]"):
         default = tuple(default)
-    declared = Parameter(kind=kind, default=default, description=description, **options)
-    return attrs.field(default=default, metadata={_META: declared})
+    declaration = Parameter(kind=kind, default=default, description=description, **options)
+    return attrs.field(default=default, metadata={_META: declaration})
 
 
 def _leaf(field: attrs.Attribute[Any]) -> str:
@@ -207,19 +207,19 @@ def section(cls: type) -> Any:
     return attrs.field(factory=cls, metadata={_SECTION: cls})
 
 
-def declared(cls: type, prefix: str = "") -> tuple[Parameter, ...]:
+def declarations(cls: type, prefix: str = "") -> tuple[Parameter, ...]:
     """Return the declarations of all parameters of a configuration class, their names behind a prefix."""
-    return _declared(cls, prefix)
+    return _declarations(cls, prefix)
 
 
 @cache
-def _declared(cls: Any, prefix: str) -> tuple[Parameter, ...]:
+def _declarations(cls: Any, prefix: str) -> tuple[Parameter, ...]:
     entries: list[Parameter] = []
     for field in attrs.fields(cls):
         if _META in field.metadata:
             entries.append(attrs.evolve(field.metadata[_META], name=prefix + _leaf(field)))
         elif _SECTION in field.metadata:
-            entries.extend(_declared(field.metadata[_SECTION], f"{prefix}{field.name}."))
+            entries.extend(_declarations(field.metadata[_SECTION], f"{prefix}{field.name}."))
     return tuple(entries)
 
 
@@ -279,7 +279,7 @@ def _build(cls: Any, values: dict[str, Any], prefix: str, extra_fields: dict[str
     return cls(**arguments)
 
 
-def read_only(name: str) -> str:
+def read_only_message(name: str) -> str:
     """Return the message that refuses a change of a parameter that is set at start."""
     return f"{name} can't change while the cloth runs; set it at start"
 
@@ -291,7 +291,7 @@ def _suggestion(name: str, known: dict[str, Parameter]) -> str:
     return f"; did you mean '{close[0]}'?" if close else ""
 
 
-def _shown(value: Any) -> str:
+def _format_value(value: Any) -> str:
     """Return a value for a message, shortened if it is long."""
     text = repr(value)
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}... ({len(text)} characters)"

@@ -77,7 +77,7 @@ class _Section:
 
 
 class _SectionReader:
-    """Reads the sections of a parameter file from the events of a YAML parser, and refuses what ROS refuses."""
+    """Reader of a parameter file's sections from the events of a YAML parser; it refuses what ROS refuses."""
 
     def __init__(self, text: str, source: str) -> None:
         import yaml
@@ -212,7 +212,7 @@ class _SectionReader:
         text = _scalar_text(self._event)
         # ROS regards only this tag.
         is_text = self._event.style in ("'", '"') or self._event.tag == "tag:yaml.org,2002:str"
-        return text if is_text else ros_yaml.plain(text)
+        return text if is_text else ros_yaml.parse_plain_scalar(text)
 
     def _not_a_parameter_file(self) -> ParameterError:
         return ParameterError(

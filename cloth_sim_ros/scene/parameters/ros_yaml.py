@@ -111,7 +111,7 @@ def check_size(text: str, *, max_nodes: int = MAX_NODES) -> None:
             raise yaml.YAMLError(f"it has more than {max_nodes} values, aliases written out; that is the limit")
 
 
-def plain(text: str) -> bool | int | float | str:
+def parse_plain_scalar(text: str) -> bool | int | float | str:
     """Convert an unquoted scalar to the value that ROS reads; `null` and `~` are text."""
     if _BOOL.fullmatch(text):
         return text.lower() in _TRUE
@@ -180,7 +180,7 @@ def _loader() -> Any:
     for tag, (pattern, first) in _RESOLVED.items():
         Loader.add_implicit_resolver(tag, pattern, list(first))
     # An integer beyond 64 bits is read as in C; Python would refuse one of very many digits.
-    Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: plain(str(node.value)))
+    Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: parse_plain_scalar(str(node.value)))
     Loader.add_constructor("tag:yaml.org,2002:bool", lambda _, node: str(node.value).lower() in _TRUE)
     return Loader
 

@@ -107,9 +107,9 @@ def parse(text: str | bytes) -> RobotDescription:
             raise ParameterError(f"the robot's description has two links '{name}'; give each its own name")
         shapes[name] = tuple(_shape(collision, name) for collision in link.findall("collision"))
     joints = [_joint(element) for element in root.findall("joint")]
-    if repeated := _repeated([joint.name for joint in joints]):
+    if repeated := _first_duplicate([joint.name for joint in joints]):
         raise ParameterError(f"the robot's description has two joints '{repeated}'; give each its own name")
-    return _ordered(shapes, joints)
+    return _ordered_robot(shapes, joints)
 
 
 def transform(position: Sequence[float], rotation: Array) -> Array:
@@ -134,12 +134,12 @@ def _squared(matrix: Array) -> Array:
     return matrix @ matrix
 
 
-def _repeated(names: Sequence[str]) -> str:
+def _first_duplicate(names: Sequence[str]) -> str:
     """Return the alphabetically first name that occurs more than once; empty if none does."""
     return min((name for name, count in Counter(names).items() if count > 1), default="")
 
 
-def _ordered(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint]) -> RobotDescription:
+def _ordered_robot(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint]) -> RobotDescription:
     """Check that the joints form a tree, and return the robot with its joints ordered from the root.
 
     Raises:
@@ -149,7 +149,7 @@ def _ordered(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint])
         for link in (joint.parent, joint.child):
             if link not in shapes:
                 raise ParameterError(f"joint '{joint.name}' of the robot names the link '{link}', which does not exist")
-    if repeated := _repeated([joint.child for joint in joints]):
+    if repeated := _first_duplicate([joint.child for joint in joints]):
         raise ParameterError(f"link '{repeated}' of the robot is the child of two joints; a robot is a tree")
     children = {joint.child for joint in joints}
     roots = [link for link in shapes if link not in children]

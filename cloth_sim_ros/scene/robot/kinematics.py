@@ -53,7 +53,7 @@ class Kinematics:
         self._multipliers = np.array([multiplier for _, multiplier, _ in sources])
         self._offsets = np.array([offset for _, _, offset in sources])
 
-    def positions(self, values: Mapping[str, float]) -> Array:
+    def joint_positions(self, values: Mapping[str, float]) -> Array:
         """Convert joint positions by name to an array [rad or m]; a missing one is 0, or the limit nearest to 0."""
         joints = self._named
         return np.array(
@@ -63,7 +63,7 @@ class Kinematics:
             ]
         )
 
-    def bodies(self, positions: Array, base: Array) -> Array:
+    def body_transforms(self, positions: Array, base: Array) -> Array:
         """Return the transforms of all bodies (rigidly joined links) at joint positions, shape (bodies, 4, 4).
 
         Args:
@@ -83,7 +83,7 @@ class Kinematics:
             np.dot(transforms[parent], locals_[k], out=transforms[k + 1])
         return transforms
 
-    def reach(self, body: int, distance: float) -> tuple[Array, float]:
+    def bounding_ball(self, body: int, distance: float) -> tuple[Array, float]:
         """Return a ball, in the root's frame, that a point of a body never leaves: its centre (3,) and radius [m].
 
         The radius is the sum of the lengths between the joints on the way.

@@ -52,7 +52,7 @@ class _LinkObstacle:
 
 
 class RobotLinks:
-    """Converts joint positions of a robot to the poses of the obstacles of its links.
+    """Converter of a robot's joint positions to the poses of the obstacles of its links.
 
     Args:
         description: the robot.
@@ -92,8 +92,8 @@ class RobotLinks:
                 the limit that is nearest to 0.
             base: transform of `robot.frame` in the scene's frame, shape (4, 4); by default they agree.
         """
-        values = self.kinematics.positions(positions) if isinstance(positions, Mapping) else positions
-        bodies = self.kinematics.bodies(values, self._root(base))
+        values = self.kinematics.joint_positions(positions) if isinstance(positions, Mapping) else positions
+        bodies = self.kinematics.body_transforms(values, self._root(base))
         return poses_of(bodies[self._bodies] @ self._placements)
 
     def poses_from_links(self, transforms: Mapping[str, Array]) -> Array:
@@ -104,7 +104,7 @@ class RobotLinks:
     def link_pose(self, link: str, positions: Array, base: Array | None = None) -> Array:
         """Return the pose of a robot's link in the scene's frame, shape (7,): position [m], quaternion x, y, z, w."""
         body, placement = self.kinematics.placements[link]
-        bodies = self.kinematics.bodies(positions, self._root(base))
+        bodies = self.kinematics.body_transforms(positions, self._root(base))
         pose: Array = poses_of((bodies[body] @ placement)[None])[0]
         return pose
 
@@ -150,7 +150,7 @@ def add_links(
     added: dict[str, Any] = {}
     contents = dict(scene.files)
     obstacles = []
-    for candidate, name in zip(candidates, _names([entry.link for entry in candidates], used), strict=True):
+    for candidate, name in zip(candidates, _obstacle_names([entry.link for entry in candidates], used), strict=True):
         entries = {**candidate.values, "link": candidate.link, "friction": _friction(scene, candidate.link)}
         if candidate.mesh is not None:
             entries["mesh"] = _file_name(name, contents)
@@ -279,7 +279,7 @@ def _within_reach(
     for candidate in candidates:
         body, placement = kinematics.placements[candidate.link]
         centre_of_shape = (placement @ candidate.origin)[:3, 3]
-        ball = kinematics.reach(body, math.sqrt(float(centre_of_shape @ centre_of_shape)) + candidate.radius)
+        ball = kinematics.bounding_ball(body, math.sqrt(float(centre_of_shape @ centre_of_shape)) + candidate.radius)
         middle, radius = ball if body else (centre_of_shape, candidate.radius)
         balls.append((mount[:3, :3] @ middle + mount[:3, 3], radius))
     zones = [(centre, _SWING_EXTENTS * extent)]
@@ -312,7 +312,7 @@ def _friction(scene: Scene, link: str) -> tuple[float, ...]:
     return scene.gripper.friction if link in scene.robot.pads else scene.robot.friction
 
 
-def _names(links: Sequence[str], used: Collection[str]) -> list[str]:
+def _obstacle_names(links: Sequence[str], used: Collection[str]) -> list[str]:
     """Return an unused name, valid in ROS, for the obstacle of each link."""
     names, counts, used = list[str](), Counter(links), set(used)
     for link in links:

@@ -11,6 +11,7 @@ import numpy as np
 from cloth_sim_ros.physics.contact.obstacle_features import ObstacleFeatures, obstacle_features
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix, to_body_frame
 from cloth_sim_ros.scene.robot.links import RobotLinks
 from cloth_sim_ros.scene.scene import Scene
@@ -22,8 +23,9 @@ _BISECTIONS = 7
 _MAX_HAND_JOINTS = 8
 
 
+@with_old_names(stopped="limit_positions")
 class PadStops:
-    """Stops the joints of fingers before their pads come closer than `robot.pad_gap` contact thicknesses.
+    """Limit of a robot's finger joints: their pads stay at least `robot.pad_gap` contact thicknesses apart.
 
     Two pads are a pair if they belong to one hand and different joints move them. Pads that more than eight joints move
     relative to each other belong to two arms. Each side of a cloth's layer then has half the gap, and its contact
@@ -72,7 +74,7 @@ class PadStops:
             self._min_gap = scene.robot.pad_gap * self._thickness
             self._features = self._features_of_pads()
 
-    def stopped(self, positions: Array) -> Array:
+    def limit_positions(self, positions: Array) -> Array:
         """Limit commanded joint positions so that no pair of pads comes closer than permitted, or than before.
 
         Args:

@@ -116,7 +116,7 @@ def build_parallel_grippers(plan: Plan, grippers: Grippers, state: State) -> Par
     return ParallelGrippers(pads, grippers, state)
 
 
-def plan_controls(
+def move_bodies(
     plan: Plan,
     scene: Scene,
     obstacles: Obstacles | None,
@@ -137,13 +137,11 @@ def plan_controls(
         speeds = [scene.of_gripper(name, "max_speed") for name in grippers.names]
         stiffness, damping = gripper.stiffness, gripper.damping
         present = plan.grips.controls.grasps if joints is None else joints.gripper_grasps(plan.grips.controls.grasps)
-        grips, change = grippers.plan_frame(present, plan.model, t, period, stiffness, damping, speeds)
+        grips, change = grippers.move(present, plan.model, t, period, stiffness, damping, speeds)
     if plan.contact is None:
         return Controls(grips), change
     thickness = plan.contact.force.thickness
-    rows, obstacle_change, is_away = (
-        (None, 0.0, None) if obstacles is None else obstacles.plan_frame(t, period, thickness)
-    )
+    rows, obstacle_change, is_away = (None, 0.0, None) if obstacles is None else obstacles.move(t, period, thickness)
     contact = _contact_controls(plan.contact.force, rows, pinching, None if grips is None else grips.paths, t, is_away)
     if joints is not None and grips is not None and rows is not None:
         grips = joints.extend(grips, rows)
@@ -156,7 +154,7 @@ def standing_controls(
     """Return controls of contact with obstacles and pads at rest at their poses at time t [s]; None without contact."""
     if plan.contact is None:
         return None
-    rows = None if obstacles is None else obstacles.standing(t)
+    rows = None if obstacles is None else obstacles.standing_paths(t)
     gripper_paths = constant_paths(t, grippers.poses())
     return _contact_controls(plan.contact.force, rows, pinching, gripper_paths, t)
 
@@ -174,7 +172,7 @@ def _contact_controls(
         return force.controls
     paths, commands, setpoints = [] if rows is None else [rows], force.controls.jaw_commands, None
     if pinching is not None and gripper_paths is not None:
-        paths.append(pinching.rows(gripper_paths))
+        paths.append(pinching.pad_paths(gripper_paths))
         commands, setpoints = pinching.drive_flags(), pinching.setpoints
     return ContactControls(np.concatenate(paths), commands, ThicknessRecovery(t), setpoints, is_away)
 
@@ -192,7 +190,7 @@ def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, dur
         t: time at its start [s].
         duration: its length [s].
     """
-    candidates = grippers.prescribing()
+    candidates = grippers.prescribing_grippers()
     if plan.contact is None or not candidates:
         return []
     thickness = plan.contact.force.thickness

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.pair_springs import lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import damping_coefficient
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.gripper_path import to_body_frame
 from cloth_sim_ros.physics.state.state import State
@@ -25,7 +25,7 @@ from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
     KinematicBodies,
     clamp_motion,
     travel,
-    writable,
+    writable_copy,
 )
 from cloth_sim_ros.simulation.events import Target
 
@@ -120,8 +120,8 @@ class Grippers:
         target = self._bodies.set_target(g, event.position, event.orientation)
         is_first = not self._state.memory["gripper.placed"][g]
         if is_first:
-            writable(self._state, "gripper.placed")[g] = True
-            self._bodies.writable("pose")[g] = target
+            writable_copy(self._state, "gripper.placed")[g] = True
+            self._bodies.writable_copy("pose")[g] = target
         return is_first
 
     def max_speed(self, index: int, speed_limit: float) -> float:
@@ -140,10 +140,10 @@ class Grippers:
             among: their indices; by default those that can crush the cloth: pinching grippers, and those that prescribe
                 the motion of particles.
         """
-        indices = {*self.pad_reaches, *self.prescribing()} if among is None else among
+        indices = {*self.pad_reaches, *self.prescribing_grippers()} if among is None else among
         return [self.names[g] for g in self._bodies.hold_position(sorted(indices))]
 
-    def prescribing(self) -> list[int]:
+    def prescribing_grippers(self) -> list[int]:
         """Return the indices of the grippers that prescribe the motion of at least one particle."""
         if not self._prescribes.any():
             return []
@@ -157,7 +157,7 @@ class Grippers:
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
             return GraspResult(name, True, len(self.grasped_particles(g)), "it is closed already: open it first")
-        writable(self._state, "gripper.closed")[g] = True
+        writable_copy(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         pose = memory["gripper.pose"][g]
@@ -204,7 +204,7 @@ class Grippers:
     def attach(self, name: str, particles: NDArray[np.int64]) -> None:
         """Close a gripper that has a pose, and attach particles to it at their present positions."""
         g = self.names.index(name)
-        writable(self._state, "gripper.closed")[g] = True
+        writable_copy(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
         self._replace(g, particles, to_body_frame(pose, self._state.x[:, particles]))
 
@@ -213,21 +213,21 @@ class Grippers:
         memory, g = self._state.memory, self.names.index(name)
         if memory["gripper.closed"][g] and not again:
             return GraspResult(name, True, 0, "it is closed already: open it first")
-        writable(self._state, "gripper.closed")[g] = True
+        writable_copy(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         return GraspResult(name, True, 0, pending=True)
 
     def open(self, name: str) -> GraspResult:
-        """Release every particle of a gripper."""
+        """Open a gripper: release its particles, and let its pads, if it has some, open."""
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"
-        writable(self._state, "gripper.closed")[g] = False
+        writable_copy(self._state, "gripper.closed")[g] = False
         self._replace(g, np.empty(0, dtype=np.int64), np.empty((0, 3)))
         return GraspResult(name, False, 0, reason)
 
-    def plan_frame(
+    def move(
         self,
         present: Grasps,
         model: Model,
@@ -255,7 +255,7 @@ class Grippers:
         is_closed, max_change = self._state.memory["gripper.closed"].tolist(), 0.0
         self.speed_limited = {}
         end_pose = functools.partial(self._end_pose, duration, speeds) if self.pad_reaches or any(speeds) else None
-        paths, changes = self._bodies.paths(t, duration, end_pose)
+        paths, changes = self._bodies.move(t, duration, end_pose)
         controls = GripControls(paths, self._grasps(present, model, stiffness, damping))
         for g, change in enumerate(changes):
             if change > max_change and (is_closed[g] or g in self.pad_reaches):
@@ -306,7 +306,7 @@ class Grippers:
         if self._prescribes.any():
             prescribed = np.repeat(self._prescribes, np.diff(starts))
             stiffnesses[prescribed] = 0.0
-        dampings = lecture_damping(damping, stiffnesses, model.masses[particles])
+        dampings = damping_coefficient(damping, stiffnesses, model.masses[particles])
         return Grasps(starts, particles, memory["grip.offsets"], stiffnesses, dampings, source, prescribed)
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:

@@ -26,7 +26,7 @@ MAX_BODY_SPEED = 10.0
 EndPose = Callable[[int, Sequence[float], Sequence[float]], Sequence[float]]
 
 
-def writable(state: State, name: str) -> NDArray:
+def writable_copy(state: State, name: str) -> NDArray:
     """Replace an array of the state's memory by a copy, and return the copy for writing.
 
     The old array stays unchanged, because earlier states share it.
@@ -92,9 +92,9 @@ class KinematicBodies:
         """Return one of the arrays `pose`, `twist`, `turn` and `target`, for reading."""
         return self._state.memory[f"{self._kind}.{quantity}"]
 
-    def writable(self, quantity: str) -> NDArray:
+    def writable_copy(self, quantity: str) -> NDArray:
         """Return a copy of one of the arrays, which replaces it, for writing."""
-        return writable(self._state, f"{self._kind}.{quantity}")
+        return writable_copy(self._state, f"{self._kind}.{quantity}")
 
     @property
     def is_at_rest(self) -> bool:
@@ -104,7 +104,7 @@ class KinematicBodies:
 
     def set_target(self, index: int, position: Vector, orientation: Vector | None) -> Array:
         """Store a target position [m] and orientation, by default the present target's; return its pose, shape (7,)."""
-        target = writable(self._state, self._names[3])
+        target = writable_copy(self._state, self._names[3])
         if orientation is None:
             # Element by element, because building an array of three numbers takes longer.
             target[index, 0], target[index, 1], target[index, 2] = position
@@ -116,7 +116,7 @@ class KinematicBodies:
     def set_targets(self, indices: Sequence[int], poses: Array) -> None:
         """Store target poses (count, 7) of several bodies: position [m] and quaternion x, y, z, w."""
         x, y, z, w = poses[:, 3:].T
-        target = writable(self._state, self._names[3])
+        target = writable_copy(self._state, self._names[3])
         target[indices, :3] = poses[:, :3]
         # As `unit_quaternion` computes it.
         target[indices, 3:] = poses[:, 3:] / np.sqrt(x * x + y * y + z * z + w * w)[:, None]
@@ -126,12 +126,12 @@ class KinematicBodies:
         is_moving = (self.array("pose") != self.array("target")).any(axis=1) | self.array("twist").any(axis=1)
         moving = [k for k in indices if is_moving[k]]
         if moving:
-            self.writable("target")[moving] = self.array("pose")[moving]
+            self.writable_copy("target")[moving] = self.array("pose")[moving]
             for quantity in ("twist", "turn"):
-                self.writable(quantity)[moving] = 0.0
+                self.writable_copy(quantity)[moving] = 0.0
         return moving
 
-    def paths(self, t: float, duration: float, end_pose: EndPose | None = None) -> tuple[Array, list[float]]:
+    def move(self, t: float, duration: float, end_pose: EndPose | None = None) -> tuple[Array, list[float]]:
         """Move each body over a frame; return paths, (count, PATH_NUMBERS), and changes of displacement [m].
 
         Args:

@@ -89,7 +89,7 @@ class Obstacles:
         """Hold the present poses until the next targets; return the names of the obstacles that were moving."""
         return [self.names[k] for k in self._bodies.hold_position(range(len(self.names)))]
 
-    def plan_frame(self, t: float, duration: float, thickness: float) -> tuple[Array, float, NDArray[np.bool_] | None]:
+    def move(self, t: float, duration: float, thickness: float) -> tuple[Array, float, NDArray[np.bool_] | None]:
         """Move the obstacles over a frame; return paths, largest change of displacement [m], and links off the cloth.
 
         Args:
@@ -103,14 +103,14 @@ class Obstacles:
             None without links.
         """
         end_pose = functools.partial(self._end_pose, duration) if self._may_be_too_fast(duration) else None
-        paths, changes = self._bodies.paths(t, duration, end_pose)
+        paths, changes = self._bodies.move(t, duration, end_pose)
         if not self._is_link.any():
             return paths, max(changes), None
         is_away = self._is_link & self._are_away(paths, duration, 2.0 * thickness)
         near_changes = [change for change, away in zip(changes, is_away.tolist(), strict=True) if not away]
         return paths, max(near_changes, default=0.0), is_away
 
-    def standing(self, t: float) -> Array:
+    def standing_paths(self, t: float) -> Array:
         """Return the paths of obstacles at rest at their poses from time t [s] on, shape (count, PATH_NUMBERS)."""
         return constant_paths(t, self._bodies.array("pose"))
 

@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import JAWS_AT_REST_KEY, JAWS_KEY, SETPOINTS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult, Grippers
-from cloth_sim_ros.simulation.bodies.kinematic_bodies import writable
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import writable_copy
 from cloth_sim_ros.simulation.bodies.obstacles import gaps
 from cloth_sim_ros.simulation.events import Grasp
 
@@ -58,7 +58,7 @@ class ParallelGrippers:
         placed = self._state.memory["gripper.placed"]
         return [2 * k + pad for k, index in enumerate(self._indices) if placed[index] for pad in range(2)]
 
-    def rows(self, paths: Array) -> Array:
+    def pad_paths(self, paths: Array) -> Array:
         """Return for each pad the path of its gripper, shape (pads, PATH_NUMBERS), from the paths of all grippers."""
         return np.repeat(paths[self._indices], 2, axis=0)
 
@@ -91,9 +91,13 @@ class ParallelGrippers:
             return
         self._state.memory.setdefault(SETPOINTS_KEY, np.array([NO_SETPOINT] * len(self.pads)))
         half_opening = NO_SETPOINT[0] if event.opening is None else 0.5 * event.opening
-        writable(self._state, SETPOINTS_KEY)[self.names.index(event.gripper)] = half_opening, event.force, event.speed
+        writable_copy(self._state, SETPOINTS_KEY)[self.names.index(event.gripper)] = (
+            half_opening,
+            event.force,
+            event.speed,
+        )
 
-    def drive(self, name: str) -> tuple[float, float, float]:
+    def drive_state(self, name: str) -> tuple[float, float, float]:
         """Return the distance between a gripper's pads [m], its rate [m/s], and the force of the drive at each pad [N].
 
         The force closes the pads if it is above 0.
@@ -101,12 +105,12 @@ class ParallelGrippers:
         k = self.names.index(name)
         half_opening, jaw_speed = self._state.memory[JAWS_KEY][k].tolist()
         _, force, speed = self.setpoint(name)
-        jaw, direction = self.pads[k].limited(force, speed), 1.0 if self.drive_flags()[k, 1] else -1.0
+        jaw, direction = self.pads[k].with_limits(force, speed), 1.0 if self.drive_flags()[k, 1] else -1.0
         return 2.0 * half_opening, 2.0 * jaw_speed, jaw.force * (direction + jaw_speed / jaw.speed)
 
-    def await_rest(self, name: str) -> None:
+    def request_rest_result(self, name: str) -> None:
         """Request a report when the pads of a gripper come to rest."""
-        writable(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
+        writable_copy(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
 
     def grasped_count(self, plan: Plan, t: float, name: str) -> int:
         """Return the number of particles between a gripper's pads: the smaller contact count of both pads."""
@@ -116,7 +120,7 @@ class ParallelGrippers:
         counts = contact.obstacle_gaps(t, self._state.x, self._state.memory)[contact.force.n_solids + 2 * k :][:2, 0]
         return int(counts.min())
 
-    def report_rested(self, plan: Plan, t: float) -> list[GraspResult]:
+    def rest_results(self, plan: Plan, t: float) -> list[GraspResult]:
         """Return results of the grippers whose pads came to rest in the frame that ended at time t [s].
 
         Pads that open entirely are not reported.
@@ -132,14 +136,14 @@ class ParallelGrippers:
             setpoint, force, speed = self.setpoint(pads.gripper)
             if is_rested[k] or not is_placed or not (is_closed or setpoint >= 0.0):
                 continue
-            jaw = pads.limited(force, speed)
+            jaw = pads.with_limits(force, speed)
             is_moving = abs(jaw_speed) > _REST_FRACTION * jaw.speed
             if is_moving or abs(accelerations[k]) * jaw.inertia > _REST_FRACTION * 2.0 * jaw.force:
                 continue
-            writable(self._state, JAWS_AT_REST_KEY)[k] = True
+            writable_copy(self._state, JAWS_AT_REST_KEY)[k] = True
             n_grasped = self.grasped_count(plan, t, jaw.gripper)
             thickness = plan.contact.force.thickness
-            is_at_stop = half_opening < jaw.stops(True, setpoint, thickness)[0] + 0.25 * thickness
+            is_at_stop = half_opening < jaw.half_opening_range(True, setpoint, thickness)[0] + 0.25 * thickness
             reached = not is_closed or (is_at_stop and (n_grasped == 0 or setpoint > 0.0))
             reason = ""
             if setpoint > 0.0 and reached:

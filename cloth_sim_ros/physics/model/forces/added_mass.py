@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 
@@ -49,20 +49,20 @@ class AddedMass(EngineForce):
     def __init__(self, panels: ArrayLike, *, density: float, wind: ArrayLike = (0.0, 0.0, 0.0)) -> None:
         # As objects: the check below reports rows of different lengths.
         corners = 4 if np.shape(np.asarray(panels, dtype=object))[1:] == (4,) else 3
-        self.panels = indices("panels", panels, corners, np.iinfo(np.int64).max)
+        self.panels = checked_indices("panels", panels, corners, np.iinfo(np.int64).max)
         if not len(self.panels):
             raise ValueError("there are no panels; a surface carries air along: give panels of three or four particles")
-        self.density = float(finite("density", density, (), lower=0.0))
-        self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
+        self.density = float(checked_floats("density", density, (), lower=0.0))
+        self.wind: Array = checked_floats("wind", wind, (3,), one_for_all=False)
 
     def in_wind(self, wind: ArrayLike) -> AddedMass:
         """Return a copy of this force with another wind [m/s], shape (3,)."""
         panels = copy.copy(self)
-        panels.wind = finite("wind", wind, (3,), one_for_all=False)
+        panels.wind = checked_floats("wind", wind, (3,), one_for_all=False)
         return panels
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        panels = indices("panels", self.panels, self.panels.shape[1], particle_count)
+        panels = checked_indices("panels", self.panels, self.panels.shape[1], particle_count)
         kind = "mass_triangle" if panels.shape[1] == 3 else "mass_quad"
         shared = np.array([self.density, 0.0, *self.wind])
         none = np.empty((len(panels), 0))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 from cloth_sim_ros.physics.old_names import with_old_names
@@ -28,7 +28,7 @@ class AirPanels(EngineForce):
     A is the panel's present area, n its unit normal, v the corner's velocity and w the wind. For a quadrilateral, A n
     is half the cross product of its diagonals. A cell bent along one of them has the drag of its outline. The force
     does not distinguish the two sides of the cloth. The dissipation is that of still air, v'Bv. The wind adds the work
-    w'Bv (`supply`).
+    w'Bv (`external_power`).
 
     The damping blocks are exact. The force also changes as the panels turn; this part has no potential. The stiffness
     blocks bound that change for a cloth at rest in the wind. They ignore the cloth's own speed. Its contribution, of
@@ -52,17 +52,17 @@ class AirPanels(EngineForce):
     ) -> None:
         # As objects: the check below reports rows of different lengths.
         corners = 4 if np.shape(np.asarray(panels, dtype=object))[1:] == (4,) else 3
-        self.panels = indices("panels", panels, corners, np.iinfo(np.int64).max)
+        self.panels = checked_indices("panels", panels, corners, np.iinfo(np.int64).max)
         if not len(self.panels):
             raise ValueError("there are no panels; air acts on a surface: give panels of three or four particles")
-        self.normal = float(finite("normal drag", normal, (), lower=0.0))
-        self.tangential = float(finite("tangential drag", tangential, (), lower=0.0))
-        self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
+        self.normal = float(checked_floats("normal drag", normal, (), lower=0.0))
+        self.tangential = float(checked_floats("tangential drag", tangential, (), lower=0.0))
+        self.wind: Array = checked_floats("wind", wind, (3,), one_for_all=False)
 
     def in_wind(self, wind: ArrayLike) -> AirPanels:
         """Return a copy of this force with another wind [m/s], shape (3,)."""
         panels = copy.copy(self)
-        panels.wind = finite("wind", wind, (3,), one_for_all=False)
+        panels.wind = checked_floats("wind", wind, (3,), one_for_all=False)
         return panels
 
     @property
@@ -71,7 +71,7 @@ class AirPanels(EngineForce):
         return np.array([self.normal, self.tangential, *self.wind])
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        panels = indices("panels", self.panels, self.panels.shape[1], particle_count)
+        panels = checked_indices("panels", self.panels, self.panels.shape[1], particle_count)
         kind = "triangle" if panels.shape[1] == 3 else "quad"
         none = np.empty((len(panels), 0))
         shared = self.coefficients

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 
@@ -43,7 +43,7 @@ class BendingFriction(EngineForce):
         name: str = "bending_friction",
     ) -> None:
         self.name = name
-        self.hinges: NDArray[np.int64] = indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
+        self.hinges: NDArray[np.int64] = checked_indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
         count = len(self.hinges)
         ordered = np.sort(self.hinges, axis=1)
         wrong = np.flatnonzero((ordered[:, :-1] == ordered[:, 1:]).any(axis=1))
@@ -51,12 +51,12 @@ class BendingFriction(EngineForce):
             raise ValueError(
                 f"hinge {wrong[0]} of '{name}' is {self.hinges[wrong[0]].tolist()}; it needs four different particles"
             )
-        self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,))
-        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
-        self.reach = finite(f"reach of '{name}'", reach, (count,), lower=0.0)
+        self.rest_length = checked_floats(f"rest_length of '{name}'", rest_length, (count,))
+        self.stiffness = checked_floats(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
+        self.reach = checked_floats(f"reach of '{name}'", reach, (count,), lower=0.0)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        hinges = indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
+        hinges = checked_indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
         if not len(hinges):
             return ()
         coefficients = np.stack([self.rest_length, self.stiffness, self.reach], axis=1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import indices
+from cloth_sim_ros.engine.binding import checked_indices
 from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
 
 #: Kind of each candidate, and its corners in the order of the engine's law: two edges, or a face and a point. Numbers
@@ -61,5 +61,5 @@ class CandidateSprings(HingeSprings):
         self.candidate = candidate
         self.kind, order = CANDIDATES[candidate]
         name = name or candidate
-        quads = indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
+        quads = checked_indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
         super().__init__(quads[:, order], rest_length, stiffness, damping, name=name)

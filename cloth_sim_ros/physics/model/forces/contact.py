@@ -11,7 +11,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, finite, indices
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, checked_floats, checked_indices
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
 from cloth_sim_ros.physics.model.controls import ContactControls, ThicknessRecovery
@@ -46,8 +46,8 @@ class ContactSurface:
         edge_lengths: Array | None = None,
         joints: ArrayLike = (),
     ) -> None:
-        points = finite("positions of the surface", positions, np.shape(positions))
-        self.triangles = indices("triangles of the surface", triangles, 3, len(points))
+        points = checked_floats("positions of the surface", positions, np.shape(positions))
+        self.triangles = checked_indices("triangles of the surface", triangles, 3, len(points))
         if not len(self.triangles):
             raise ValueError("a surface without triangles can't touch itself; give its triangles")
         edges = points[self.triangles[:, [1, 2, 0]]] - points[self.triangles]
@@ -65,7 +65,7 @@ class ContactSurface:
                 f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.min_edge:.4g} "
                 f"m: neighbours would touch at rest; take {0.49 * self.min_edge:.2g} m or less, or a coarser cloth"
             )
-        pairs = indices("joints of the surface", joints, 2, len(points))
+        pairs = checked_indices("joints of the surface", joints, 2, len(points))
         #: For each particle the lowest one that joints connect with it, shape (n,); None without joints.
         self.joined: NDArray[np.int64] | None = None
         if len(pairs):
@@ -122,11 +122,11 @@ class Contact(EngineForce):
         surface: ContactSurface | None = None,
         faces: ContactSurface | None = None,
     ) -> None:
-        self.thickness = float(finite("contact thickness", thickness, ()))
+        self.thickness = float(checked_floats("contact thickness", thickness, ()))
         if self.thickness <= 0.0:
             raise ValueError(f"contact thickness is {thickness} m; it must be above 0")
-        self.damping = float(finite("contact damping", damping, (), lower=0.0))
-        self.frequency = float(finite("contact frequency", frequency, ()))
+        self.damping = float(checked_floats("contact damping", damping, (), lower=0.0))
+        self.frequency = float(checked_floats("contact frequency", frequency, ()))
         if self.frequency <= 0.0:
             raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")
         #: Jaws of the grippers that pinch.
@@ -162,7 +162,7 @@ class Contact(EngineForce):
         self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
-        """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
+        """Set for each gripper that pinches whether it has a pose and whether it closes, shape (pinches, 2)."""
         self.controls = self.controls._replace(jaw_commands=commands.copy())
 
     def start_recovery(

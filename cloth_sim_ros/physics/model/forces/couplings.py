@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 
@@ -36,19 +36,19 @@ class Couplings(EngineForce):
         self, pairs: ArrayLike, constants: ArrayLike, damping_time: float = 0.0, *, name: str = "couplings"
     ) -> None:
         self.name = name
-        self.pairs: NDArray[np.int64] = indices(f"pairs of '{name}'", pairs, 2, np.iinfo(np.int64).max)
+        self.pairs: NDArray[np.int64] = checked_indices(f"pairs of '{name}'", pairs, 2, np.iinfo(np.int64).max)
         loops = np.flatnonzero(self.pairs[:, 0] == self.pairs[:, 1])
         if loops.size:
             particle = self.pairs[loops[0], 0]
             raise ValueError(f"pair {loops[0]} of '{name}' joins particle {particle} to itself; give two particles")
-        self.constants = finite(f"constants of '{name}'", constants, (len(self.pairs),))
+        self.constants = checked_floats(f"constants of '{name}'", constants, (len(self.pairs),))
         if not (math.isfinite(damping_time) and damping_time >= 0.0):
             raise ValueError(f"damping_time of '{name}' is {damping_time} s; it must be finite and at least 0")
         self.damping_time = float(damping_time)
         self.damped = damping_time > 0.0
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        pairs = indices(f"pairs of '{self.name}'", self.pairs, 2, particle_count)
+        pairs = checked_indices(f"pairs of '{self.name}'", self.pairs, 2, particle_count)
         if not len(pairs):
             return ()
         elements = ElementList(

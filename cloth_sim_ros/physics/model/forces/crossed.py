@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import indices
+from cloth_sim_ros.engine.binding import checked_indices
 from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
 
 
@@ -47,8 +47,8 @@ class CrossedSprings(HingeSprings):
         *,
         name: str = "crossed",
     ) -> None:
-        first = indices(f"edges of '{name}'", edges, 2, np.iinfo(np.int64).max)
-        second = indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
+        first = checked_indices(f"edges of '{name}'", edges, 2, np.iinfo(np.int64).max)
+        second = checked_indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
         if len(first) != len(second):
             raise ValueError(f"'{name}' has {len(first)} edges and {len(second)} pairs of wings; give one pair an edge")
         hinges = np.concatenate((first, second), axis=1)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cloth_sim_ros.engine.binding import finite
+from cloth_sim_ros.engine.binding import checked_floats
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
@@ -26,7 +26,7 @@ class Drag(EngineForce):
     damps_waves = False
 
     def __init__(self, rate: float) -> None:
-        self.rate = float(finite("drag rate", rate, (), lower=0.0))
+        self.rate = float(checked_floats("drag rate", rate, (), lower=0.0))
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         return (UniformForces(drag=self.rate),)

@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.parts import Part
+from cloth_sim_ros.physics.old_names import adopt_old_methods, with_old_names
 
 Array = NDArray[np.float64]
 
 # Empty methods below are intended (noqa: B027): a force without stiffness or damping adds none.
 
 
+@with_old_names(supply="external_power")
 class Force:
     """Base class of a model's forces: force, energy, dissipation, and bounds of stiffness and damping.
 
@@ -37,6 +39,10 @@ class Force:
     damped: bool = False
     #: True if its damping, if any, damps waves of the whole cloth.
     damps_waves: ClassVar[bool] = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        adopt_old_methods(cls, supply="external_power")
 
     def parts(self, particle_count: int) -> Sequence[Part] | None:
         """Describe the force to the engine by parts (springs, hinges, uniform, contact); None for a Python force.
@@ -62,8 +68,8 @@ class Force:
         """Return the power that damping dissipates [W]."""
         return 0.0
 
-    def supply(self, t: float, x: Array, v: Array) -> float:
-        """Return the external power [W] that the force supplies, as wind does; without elastic and dissipated power."""
+    def external_power(self, t: float, x: Array, v: Array) -> float:
+        """Return the power [W] that the force adds from outside, as wind does; without elastic and dissipated power."""
         return 0.0
 
     def add_stiffness(self, x: Array, blocks: Array) -> None:
@@ -91,4 +97,4 @@ class EngineForce(Force):
         raise TypeError(f"force '{self.name}' alone can't be evaluated; use the plan compile(Model(masses, [force]))")
 
     _refused: Any = _refuse
-    add_force = energy = dissipation = supply = add_stiffness = add_damping = add_jacobian_product = _refused
+    add_force = energy = dissipation = external_power = add_stiffness = add_damping = add_jacobian_product = _refused

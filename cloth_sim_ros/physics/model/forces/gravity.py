@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import finite
+from cloth_sim_ros.engine.binding import checked_floats
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
@@ -26,7 +26,7 @@ class Gravity(EngineForce):
     name = "gravity"
 
     def __init__(self, acceleration: ArrayLike = (0.0, 0.0, -9.81)) -> None:
-        self.acceleration: Array = finite("acceleration", acceleration, (3,), one_for_all=False)
+        self.acceleration: Array = checked_floats("acceleration", acceleration, (3,), one_for_all=False)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         x, y, z = self.acceleration.tolist()

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.binding import FAMILIES, finite
+from cloth_sim_ros.engine.binding import FAMILIES, checked_floats
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.parts import GridFamily, Part, SpringGrid
@@ -54,12 +54,12 @@ class GridSprings(EngineForce):
                 raise ValueError(f"no spring family '{family.name}'; there are {', '.join(FAMILIES)}")
             if names.count(family.name) > 1:
                 raise ValueError(f"family '{family.name}' is given {names.count(family.name)} times; give it once")
-            if not float(finite(f"rest length of '{family.name}'", family.rest_length, ())) > 0.0:
+            if not float(checked_floats(f"rest length of '{family.name}'", family.rest_length, ())) > 0.0:
                 raise ValueError(
                     f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0"
                 )
             for quantity in ("stiffness", "damping", "border"):
-                finite(f"{quantity} of '{family.name}'", getattr(family, quantity), (), lower=0.0)
+                checked_floats(f"{quantity} of '{family.name}'", getattr(family, quantity), (), lower=0.0)
             if family.parity not in (None, 0, 1):
                 raise ValueError(f"parity of '{family.name}' is {family.parity}; it must be 0, 1 or None")
         self.rows, self.columns, self.name = int(rows), int(columns), name

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.model.parts import Part
 from cloth_sim_ros.physics.old_names import with_old_names
 
 
-@with_old_names(go_back="restore", move="set_paths", noted="save", owners="gripper_indices")
+@with_old_names(go_back="restore", hold="set_grips", move="set_paths", noted="save", owners="gripper_indices")
 class Grips(EngineForce):
     """Grips: zero-length springs from grasped particles to points on grippers, or prescribed motions of particles.
 
@@ -50,9 +50,9 @@ class Grips(EngineForce):
         paths = np.zeros((gripper_count, PATH_NUMBERS))
         paths[:, 16] = 1.0
         starts, particles = np.zeros(gripper_count + 1, dtype=np.int64), np.empty(0, dtype=np.int64)
-        self.hold(paths, starts, particles, np.empty((0, 3)), np.empty(0), np.empty(0))
+        self.set_grips(paths, starts, particles, np.empty((0, 3)), np.empty(0), np.empty(0))
 
-    def hold(
+    def set_grips(
         self,
         paths: Array,
         starts: NDArray[np.int64],

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import KINDS, check, doubles, finite, indices, library
+from cloth_sim_ros.engine.binding import KINDS, check, checked_floats, checked_indices, float64_address, library
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 
@@ -43,7 +43,7 @@ class HingeSprings(EngineForce):
         self, hinges: ArrayLike, rest_length: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0, *, name: str
     ) -> None:
         self.name = name
-        self.hinges: NDArray[np.int64] = indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
+        self.hinges: NDArray[np.int64] = checked_indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
         count = len(self.hinges)
         ordered = np.sort(self.hinges, axis=1)
         wrong = np.flatnonzero((ordered[:, :-1] == ordered[:, 1:]).any(axis=1))
@@ -51,13 +51,13 @@ class HingeSprings(EngineForce):
             raise ValueError(
                 f"hinge {wrong[0]} of '{name}' is {self.hinges[wrong[0]].tolist()}; it needs four different particles"
             )
-        self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,))
-        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
-        self.damping = finite(f"damping of '{name}'", damping, (count,), lower=0.0)
+        self.rest_length = checked_floats(f"rest_length of '{name}'", rest_length, (count,))
+        self.stiffness = checked_floats(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
+        self.damping = checked_floats(f"damping of '{name}'", damping, (count,), lower=0.0)
         self.damped = bool(np.any(self.damping))
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        hinges = indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
+        hinges = checked_indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
         if not len(hinges):
             return ()
         coefficients = np.stack([self.rest_length, self.stiffness, self.damping], axis=1)
@@ -87,9 +87,9 @@ def gradient_squares(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
 def _lengths(hinges: ArrayLike, x: Array, kind: str) -> tuple[Array, Array]:
     positions = np.ascontiguousarray(x, dtype=np.float64)
     count = positions.shape[1]
-    quads = indices("hinges", hinges, 4, count)
+    quads = checked_indices("hinges", hinges, 4, count)
     lengths, squares = np.empty(len(quads)), np.empty((len(quads), 4))
-    address = doubles("x", positions, (3, count))
+    address = float64_address("x", positions, (3, count))
     inputs = KINDS[kind][0], len(quads), quads.ctypes.data, address, count
     check(library().cloth_hinge_lengths(*inputs, lengths.ctypes.data, squares.ctypes.data))
     return lengths, squares

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part, SpringGrid
 
@@ -57,7 +57,9 @@ class MembraneTriangles(EngineForce):
         name: str = "membrane",
     ) -> None:
         self.name = name
-        self.triangles: NDArray[np.int64] = indices(f"triangles of '{name}'", triangles, 3, np.iinfo(np.int64).max)
+        self.triangles: NDArray[np.int64] = checked_indices(
+            f"triangles of '{name}'", triangles, 3, np.iinfo(np.int64).max
+        )
         i, j, k = self.triangles.T
         repeated = np.flatnonzero((i == j) | (j == k) | (k == i))
         if repeated.size:
@@ -67,13 +69,13 @@ class MembraneTriangles(EngineForce):
             )
         shape = (len(self.triangles), 3, 2)
         #: Rest coordinates of the corners along warp and weft [m], shape (m, 3, 2).
-        self.corners = points = finite(f"corners of '{name}'", corners, shape, one_for_all=False)
+        self.corners = points = checked_floats(f"corners of '{name}'", corners, shape, one_for_all=False)
         #: C11, C12, C22, G [N/m], and D11, D12, D22, D33.
-        self.moduli = _definite(f"moduli of '{name}'", moduli)
-        self.viscosities = _definite(f"viscosities of '{name}'", viscosities)
+        self.moduli = _checked_stiffness(f"moduli of '{name}'", moduli)
+        self.viscosities = _checked_stiffness(f"viscosities of '{name}'", viscosities)
         self.damped = bool(np.any(self.viscosities))
         #: Strains at which C11, C22 and G stop growing, and their growth [N/m], shape (3, 2); None if constant.
-        self.growth = None if growth is None else _growing(f"growth of '{name}'", growth)
+        self.growth = None if growth is None else _checked_growth(f"growth of '{name}'", growth)
         self.grid = grid
         (x1, y1), (x2, y2) = (points[:, 1] - points[:, 0]).T, (points[:, 2] - points[:, 0]).T
         determinant = x1 * y2 - x2 * y1
@@ -89,7 +91,7 @@ class MembraneTriangles(EngineForce):
         self.coefficients: Array = np.stack([*gradients, self.areas, damping], axis=1)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        triangles = indices(f"triangles of '{self.name}'", self.triangles, 3, particle_count)
+        triangles = checked_indices(f"triangles of '{self.name}'", self.triangles, 3, particle_count)
         if not len(triangles):
             return ()
         shared, kind = [self.moduli, self.viscosities], "membrane"
@@ -113,13 +115,13 @@ class MembraneTriangles(EngineForce):
         return SpringGrid(rows=self.grid[0], columns=self.grid[1], families=()), elements
 
 
-def _growing(name: str, growth: ArrayLike) -> Array:
+def _checked_growth(name: str, growth: ArrayLike) -> Array:
     """Check strain limits and increases [N/m] of three growing moduli; return them as an array, shape (3, 2).
 
     Raises:
         ValueError: unless they are finite, not negative, and an increase has a limit above 0.
     """
-    array = finite(name, growth, (3, 2), one_for_all=False)
+    array = checked_floats(name, growth, (3, 2), one_for_all=False)
     if (array < 0.0).any() or ((array[:, 1] > 0.0) & (array[:, 0] == 0.0)).any():
         raise ValueError(
             f"{name} is {array.tolist()}; limits and increases must be at least 0, and with an increase the limit "
@@ -128,13 +130,13 @@ def _growing(name: str, growth: ArrayLike) -> Array:
     return array
 
 
-def _definite(name: str, numbers: ArrayLike) -> Array:
+def _checked_stiffness(name: str, numbers: ArrayLike) -> Array:
     """Check that C11, C12, C22, C33 are positive semidefinite; return them as an array, shape (4,).
 
     Raises:
         ValueError: unless they are finite and positive semidefinite.
     """
-    array = finite(name, numbers, (4,), one_for_all=False)
+    array = checked_floats(name, numbers, (4,), one_for_all=False)
     warp, coupling, weft, shear = array.tolist()
     if min(warp, weft, shear) < 0.0 or coupling * coupling > warp * weft:
         raise ValueError(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 
 
@@ -41,8 +41,8 @@ class OppositeSprings(PairSprings):
         *,
         name: str = "opposite",
     ) -> None:
-        pairs = indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
-        rest_lengths = finite(f"rest_length of '{name}'", rest_length, (len(pairs),))
+        pairs = checked_indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
+        rest_lengths = checked_floats(f"rest_length of '{name}'", rest_length, (len(pairs),))
         wrong = np.flatnonzero(~(rest_lengths > 0.0))
         if wrong.size:
             raise ValueError(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 
@@ -41,11 +41,11 @@ class PairSprings(EngineForce):
         *,
         name: str = "springs",
     ) -> None:
-        self.pairs: NDArray[np.int64] = indices(f"pairs of '{name}'", pairs, 2, np.iinfo(np.int64).max)
+        self.pairs: NDArray[np.int64] = checked_indices(f"pairs of '{name}'", pairs, 2, np.iinfo(np.int64).max)
         count = len(self.pairs)
-        self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,), lower=0.0)
-        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
-        self.damping = finite(f"damping of '{name}'", damping, (count,), lower=0.0)
+        self.rest_length = checked_floats(f"rest_length of '{name}'", rest_length, (count,), lower=0.0)
+        self.stiffness = checked_floats(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
+        self.damping = checked_floats(f"damping of '{name}'", damping, (count,), lower=0.0)
         loops = np.flatnonzero(self.pairs[:, 0] == self.pairs[:, 1])
         if loops.size:
             particle = self.pairs[loops[0], 0]
@@ -59,7 +59,7 @@ class PairSprings(EngineForce):
         return self.stiffness / np.where(self.rest_length > 0.0, self.rest_length, 1.0)
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        pairs = indices(f"pairs of '{self.name}'", self.pairs, 2, particle_count)
+        pairs = checked_indices(f"pairs of '{self.name}'", self.pairs, 2, particle_count)
         is_joint = self.rest_length == 0.0
         elements: list[Part] = []
         if not is_joint.all():
@@ -71,7 +71,7 @@ class PairSprings(EngineForce):
         return elements
 
 
-def lecture_damping(k_d0: ArrayLike, rigidity: ArrayLike, mass: ArrayLike) -> Array:
+def damping_coefficient(k_d0: ArrayLike, rigidity: ArrayLike, mass: ArrayLike) -> Array:
     """Return the damping coefficient k_d = k_d0 sqrt(m k) [N s/m] of a spring of dimensionless damping k_d0.
 
     Args:

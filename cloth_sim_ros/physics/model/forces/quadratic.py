@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.engine.binding import checked_floats, checked_indices
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 
@@ -44,7 +44,7 @@ class QuadraticHinges(EngineForce):
         name: str = "quadratic",
     ) -> None:
         self.name = name
-        self.hinges: NDArray[np.int64] = indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
+        self.hinges: NDArray[np.int64] = checked_indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
         count = len(self.hinges)
         ordered = np.sort(self.hinges, axis=1)
         wrong = np.flatnonzero((ordered[:, :-1] == ordered[:, 1:]).any(axis=1))
@@ -52,21 +52,21 @@ class QuadraticHinges(EngineForce):
             raise ValueError(
                 f"hinge {wrong[0]} of '{name}' is {self.hinges[wrong[0]].tolist()}; it needs four different particles"
             )
-        self.weights = finite(f"weights of '{name}'", weights, (count, 4), one_for_all=False)
+        self.weights = checked_floats(f"weights of '{name}'", weights, (count, 4), one_for_all=False)
         first, second, third, fourth = self.weights.T
         wrong = np.flatnonzero(
             np.abs(first + second + third + fourth) > 1e-9 * np.abs(self.weights).max(axis=1, initial=0.0)
         )
         if wrong.size:
             raise ValueError(f"weights of hinge {wrong[0]} of '{name}' are {self.weights[wrong[0]].tolist()}; sum: 0")
-        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
+        self.stiffness = checked_floats(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
         if not (math.isfinite(damping_time) and damping_time >= 0.0):
             raise ValueError(f"damping_time of '{name}' is {damping_time} s; it must be finite and at least 0")
         self.damping_time = float(damping_time)
         self.damped = damping_time > 0.0
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        hinges = indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
+        hinges = checked_indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
         if not len(hinges):
             return ()
         coefficients = np.concatenate([self.weights[:, 1:], self.stiffness[:, None]], axis=1)

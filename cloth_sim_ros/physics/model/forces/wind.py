@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.engine.binding import finite
+from cloth_sim_ros.engine.binding import checked_floats
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
@@ -31,11 +31,11 @@ class Wind(EngineForce):
     name = "wind"
 
     def __init__(self, velocity: ArrayLike, rate: float) -> None:
-        self.velocity: Array = finite("wind", velocity, (3,), one_for_all=False)
-        drag_rate = float(finite("drag rate", rate, (), lower=0.0))
+        self.velocity: Array = checked_floats("wind", velocity, (3,), one_for_all=False)
+        drag_rate = float(checked_floats("drag rate", rate, (), lower=0.0))
         with np.errstate(over="ignore"):
             #: Acceleration of every particle [m/s^2], shape (3,).
-            self.acceleration: Array = finite("push of the wind", drag_rate * self.velocity, (3,))
+            self.acceleration: Array = checked_floats("push of the wind", drag_rate * self.velocity, (3,))
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         x, y, z = self.acceleration.tolist()

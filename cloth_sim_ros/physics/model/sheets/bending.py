@@ -165,7 +165,7 @@ def bending_terms(
         wrong = np.flatnonzero(~(is_missing | (np.abs(angles) < math.pi)))
         if wrong.size:
             raise ValueError(f"rest_angle is {angles[wrong[0]]} rad; it must lie between -π and π, both excluded")
-        shape = shape.at(angles)
+        shape = shape.folded(angles)
     if damping and masses is None:
         raise ValueError(f"damping is {damping} without masses; critical damping depends on them, so give both")
     mass = np.ones(quads.max(initial=-1) + 1) if masses is None else np.asarray(masses, dtype=np.float64)
@@ -288,7 +288,7 @@ def _square(a: Array) -> Array:
     return a * a
 
 
-def added_membrane(springs: PairSprings, positions: ArrayLike, *, area: float) -> Array:
+def added_membrane_stiffness(springs: PairSprings, positions: ArrayLike, *, area: float) -> Array:
     """Return the in-plane stiffness (C11, C22, C66) [N/m] that bending springs S7 add to a flat sheet, shape (3,).
 
     It is the sum over springs of k L² d d d d over the area. S7's stiffness in `crossed` and `altitude` is proportional

@@ -11,7 +11,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, damping_coefficient
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.state.state import State
 
@@ -53,7 +53,7 @@ class SpringLaw:
         """Damping coefficient k_d = k_d0 sqrt(k_s m / l0), or viscosity / l0 [N s/m]."""
         if self.viscosity:
             return self.viscosity / self.rest_length
-        return float(lecture_damping(self.k_d0, self.stiffness / self.rest_length, self.mass))
+        return float(damping_coefficient(self.k_d0, self.stiffness / self.rest_length, self.mass))
 
     @property
     def frequency(self) -> float:
@@ -164,4 +164,4 @@ def joint(pair: tuple[int, int], *, stiffness: float, k_d0: float, mass: float, 
         mass: mass of one particle [kg].
         name: the force's name.
     """
-    return PairSprings([pair], 0.0, stiffness, lecture_damping(k_d0, stiffness, mass), name=name)
+    return PairSprings([pair], 0.0, stiffness, damping_coefficient(k_d0, stiffness, mass), name=name)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model.forces.pair_springs import lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import damping_coefficient
 from cloth_sim_ros.physics.model.parts import GridFamily
-from cloth_sim_ros.physics.model.sheets.material import Threads
+from cloth_sim_ros.physics.model.sheets.material import ThreadStiffness
 from cloth_sim_ros.physics.model.sheets.surface import Layout, Surface, grid_triangles
 
 
@@ -87,7 +87,7 @@ class GridSheet:
         return particles
 
     def families(
-        self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0
+        self, threads: ThreadStiffness, *, k_d0: float, density: float, retardation: float = 0.0
     ) -> dict[str, list[GridFamily]]:
         """Return the spring families of the forces `structural`, `shear` and, with bending threads, `bend`, by name.
 
@@ -106,7 +106,7 @@ class GridSheet:
 
         def family(name: str, k_s: float, l0: float, *, border: float = 1.0, parity: int | None = None) -> GridFamily:
             k = k_s / l0
-            damping = k * retardation or float(lecture_damping(k_d0, k, mass))
+            damping = k * retardation or float(damping_coefficient(k_d0, k, mass))
             return GridFamily(name=name, stiffness=k_s, rest_length=l0, damping=damping, border=border, parity=parity)
 
         right = family("right", threads.along_rows, hx, border=0.5)

@@ -35,7 +35,7 @@ def hinge_friction(hinges: Any, shape: HingeShape, *, hinge_constants: Array, mo
         ValueError: for a hinge that is nearly shut at rest.
     """
     slope = shape.length_slope("crossed")
-    flat_slope = shape.at(0.0).length_slope("crossed")
+    flat_slope = shape.folded(0.0).length_slope("crossed")
     shut = np.flatnonzero(~(slope >= _MIN_SLOPE_FRACTION * flat_slope))
     if shut.size:
         raise ValueError(

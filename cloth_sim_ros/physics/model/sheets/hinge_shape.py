@@ -123,7 +123,7 @@ class HingeShape:
         (foot0, foot1), (height0, height1) = feet, heights
         return attrs.evolve(folds, edge=edge, foot0=foot0, foot1=foot1, height0=height0, height1=height1)
 
-    def at(self, angle: ArrayLike) -> HingeShape:
+    def folded(self, angle: ArrayLike) -> HingeShape:
         """Return the same triangles folded by `angle` [rad], -π to π, one number or shape (m,); NaN keeps a fold."""
         angles = np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape)
         folds = np.nan_to_num(angles).tolist()

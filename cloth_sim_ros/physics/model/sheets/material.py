@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.model.sheets.surface import Layout
 
 
 @attrs.frozen(kw_only=True)
-class Threads:
+class ThreadStiffness:
     """Spring stiffnesses of a grid by direction, force per strain k_s [N], for threads inside the sheet.
 
     Border threads carry half.
@@ -46,7 +46,7 @@ def grid_threads(
     spacing: tuple[float, float],
     layout: Layout,
     bend_stiffness: float | tuple[float, float] = 0.0,
-) -> Threads:
+) -> ThreadStiffness:
     """Return the spring stiffnesses of a rectangular grid that give the sheet its stretch and shear moduli.
 
     Args:
@@ -88,7 +88,7 @@ def grid_threads(
             f"{shear_modulus} N/m, bending stiffness {bend_stiffness} N/m and cells of {hx:.4g} m x {hy:.4g} m; "
             "raise the stretch modulus or lower the others"
         )
-    return Threads(
+    return ThreadStiffness(
         along_rows=axial_x * hy,
         along_columns=axial_y * hx,
         diagonal=k_diagonal,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, damping_coefficient
 from cloth_sim_ros.physics.model.sheets.surface import Surface
 
 #: Poisson's ratio and shear modulus over Young's modulus of a network of edge springs on triangles: both follow from
@@ -77,6 +77,6 @@ class MeshSheet:
         if viscosity:
             damping = stiffness * (viscosity / stretch_modulus)
         else:
-            damping = lecture_damping(k_d0, stiffness, 0.5 * (masses[a] + masses[b]))
+            damping = damping_coefficient(k_d0, stiffness, 0.5 * (masses[a] + masses[b]))
         length = np.sqrt(square)
         return PairSprings(self.surface.edges, length, stiffness * length, damping, name=name)

@@ -130,7 +130,7 @@ def _checked_surface(
     if len(faces) == 0:
         raise SurfaceError("no triangle with an area is left: a cloth needs at least one")
     _check_edges(faces, points)
-    faces = _wind_alike(faces, repairs)
+    faces = _orient_alike(faces, repairs)
     vertex_indices = np.unique(faces)
     n_loose = n_distinct - len(vertex_indices)
     if n_loose:
@@ -196,7 +196,7 @@ def _merge_vertices(
     return merged[is_proper | repeated], len(moved_rows)
 
 
-def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
+def triangulate(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
     """Cut polygons into triangles; return their vertex indices, (m, 3), in the order of the polygons.
 
     Each polygon is cut into a fan. The fan starts at the first corner for which no triangle lies outside the polygon,
@@ -365,7 +365,7 @@ def _check_edges(faces: NDArray[np.int64], points: Array) -> None:
         )
 
 
-def _wind_alike(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
+def _orient_alike(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
     """Reverse triangles until neighbours have the same orientation; in every piece the majority stays as given."""
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.arithmetic.deterministic_math import row_sum
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, damping_coefficient
 from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
 from cloth_sim_ros.physics.model.sheets.surface import Surface
-from cloth_sim_ros.physics.model.sheets.tables import checked_table, pair_rows, per_row
+from cloth_sim_ros.physics.model.sheets.tables import checked_column, checked_table, pair_rows
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 
@@ -64,7 +64,7 @@ class RawSprings:
         velocities = checked_table("velocities", tables.get("velocities", np.zeros((count, 3))), np.float64, 3)
         if velocities.shape != positions.shape:
             raise ValueError(f"table 'velocities' has {len(velocities)} rows, 'positions' {count}; give one a particle")
-        masses = per_row("masses", tables["masses"], count)
+        masses = checked_column("masses", tables["masses"], count)
         bad_masses = np.flatnonzero(~(np.isfinite(masses) & (masses > 0.0)))
         if bad_masses.size:
             raise ValueError(
@@ -80,17 +80,19 @@ class RawSprings:
                     f"row {row} of table '{name}' names particle {indices[row, column]}; "
                     f"there are {count}, counted from 0"
                 )
-        rest_lengths = per_row("rest_lengths", tables.get("rest_lengths", _distances(positions, pairs)), len(pairs))
-        k_s = per_row("stiffness", tables["stiffness"], len(pairs))
+        rest_lengths = checked_column(
+            "rest_lengths", tables.get("rest_lengths", _distances(positions, pairs)), len(pairs)
+        )
+        k_s = checked_column("stiffness", tables["stiffness"], len(pairs))
         stiffness = k_s / np.where(rest_lengths > 0.0, rest_lengths, 1.0)
         if "k_d" in tables and "k_d0" in tables:
             raise ValueError("both tables 'k_d' and 'k_d0' are given; give one of them")
         if "k_d0" in tables:
             # The lecture's m of two unequal ends: the reduced mass times two.
             effective_mass = 2.0 / (1.0 / masses[pairs[:, 0]] + 1.0 / masses[pairs[:, 1]])
-            damping = lecture_damping(per_row("k_d0", tables["k_d0"], len(pairs)), stiffness, effective_mass)
+            damping = damping_coefficient(checked_column("k_d0", tables["k_d0"], len(pairs)), stiffness, effective_mass)
         else:
-            damping = per_row("k_d", tables.get("k_d", 0.0), len(pairs))
+            damping = checked_column("k_d", tables.get("k_d", 0.0), len(pairs))
         term = PairSprings(pairs, rest_lengths, k_s, damping)
         return cls(start=positions, velocities=velocities, mass=masses, term=term, surface_triangles=triangles)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.sheets.tables import checked_table, pair_rows, per_row
+from cloth_sim_ros.physics.model.sheets.tables import checked_column, checked_table, pair_rows
 
 _KEYS = ("edges", "angles")
 
@@ -39,7 +39,7 @@ class RestAngles:
             if name not in tables:
                 raise ValueError(f"table '{name}' is missing")
         edges = checked_table("edges", tables["edges"], np.int64, 2)
-        angles = per_row("angles", tables["angles"], len(edges))
+        angles = checked_column("angles", tables["angles"], len(edges))
         wrong = np.flatnonzero(~(np.abs(angles) < math.pi))
         if wrong.size:
             raise ValueError(

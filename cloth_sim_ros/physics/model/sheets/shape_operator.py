@@ -163,7 +163,7 @@ class _Patches:
 
         If a neighbour is missing, the function has the least square of curvatures.
         """
-        shares = np.stack([self._interpolation(flaps[:, k]) for k in range(3)], axis=1)
+        shares = np.stack([self._barycentric_coordinates(flaps[:, k]) for k in range(3)], axis=1)
         corner_squares = _monomials(self.corners)
         excess = _monomials(flaps)
         for j in range(3):
@@ -178,7 +178,7 @@ class _Patches:
                     + metric[:, i, 1] * excess[:, j, 1]
                     + metric[:, i, 2] * excess[:, j, 2]
                 )
-        used = _independent(gram, has_neighbour)
+        used = _independent_neighbours(gram, has_neighbour)
         inverse = _masked_inverse(gram, used)
         weights = np.zeros((len(flaps), 3, 6))
         for k in range(3):
@@ -190,14 +190,14 @@ class _Patches:
                 weights[:, :, j] -= by_flap * shares[:, k, j, None]
         return weights
 
-    def _interpolation(self, places: Array) -> Array:
+    def _barycentric_coordinates(self, places: Array) -> Array:
         """Return the barycentric coordinates of points (m, 2) in their triangles, shape (m, 3)."""
         u, v = (places - self.corners[:, 0]).T
         shares = self.gradients[..., 0] * u[:, None] + self.gradients[..., 1] * v[:, None]
         shares[:, 0] += 1.0
         return shares
 
-    def slopes(self) -> Array:
+    def slope_weights(self) -> Array:
         """Return the weights [1/m] of a patch's corners in the outward slopes at the edges' midpoints, (m, 3, 6)."""
         slopes = np.zeros((len(self.areas), 3, 6))
         squares = _monomials(self.corners)
@@ -227,7 +227,7 @@ def _monomials(places: Array) -> Array:
     return np.stack([0.5 * u * u, 0.5 * v * v, 0.5 * u * v], axis=-1)
 
 
-def _independent(gram: Array, has_neighbour: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _independent_neighbours(gram: Array, has_neighbour: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask of neighbours that determine a curvature independently, (m, 3): all, the best pair, or one."""
     size = np.sqrt(np.where(has_neighbour, np.stack([gram[:, i, i] for i in range(3)], axis=1), 1.0))
     cosines = {(i, j): gram[:, i, j] / (size[:, i] * size[:, j]) for i, j in _PAIRS}
@@ -263,7 +263,7 @@ def _curvature_weights(
     faces: NDArray[np.int64], patch: _Patches, opposite: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Array]:
     """Return the particles (m, 12) on which triangles' curvatures depend, and their weights [1/m²], (m, 3, 12)."""
-    slopes = patch.slopes()
+    slopes = patch.slope_weights()
     count = len(faces)
     particles, weights = [faces], [np.zeros((count, 3, 3))]
     for k in range(3):
@@ -280,10 +280,10 @@ def _curvature_weights(
         beyond = slopes[triangle, edge] * np.where(has_neighbour, -0.5, 0.0)[:, None]
         weights += [across[:, :, None] * within[:, None], across[:, :, None] * beyond[:, None]]
     all_particles, all_weights = np.concatenate(particles, axis=1), np.concatenate(weights, axis=2)
-    return _merged(all_particles, all_weights / patch.areas[:, None, None])
+    return _merge_equal(all_particles, all_weights / patch.areas[:, None, None])
 
 
-def _merged(particles: NDArray[np.int64], weights: Array) -> tuple[NDArray[np.int64], Array]:
+def _merge_equal(particles: NDArray[np.int64], weights: Array) -> tuple[NDArray[np.int64], Array]:
     """Merge equal particles in each row by adding their weights; particles ascend, -1 after the last."""
     order = np.argsort(particles, axis=1, kind="stable")
     ascending = np.take_along_axis(particles, order, axis=1)

@@ -42,7 +42,7 @@ def _real_array(name: str, value: Any) -> Array:
         raise ValueError(f"table '{name}' is no table of numbers: {error}") from error
 
 
-def per_row(name: str, value: Any, count: int) -> Array:
+def checked_column(name: str, value: Any, count: int) -> Array:
     """Check a table of one number a row and return it, (count,); a single number stands for all rows.
 
     Raises:
