@@ -29,10 +29,10 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.description import describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
-from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorPrediction, ErrorRule, ErrorSums
+from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
-from cloth_sim_ros.physics.control.frame_totals import FrameTotals, Piece
+from cloth_sim_ros.physics.control.frame_totals import ErrorPrediction, FrameTotals, Piece
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
@@ -48,7 +48,13 @@ from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
-from cloth_sim_ros.physics.state.controller_state import ContactState, ErrorState, FallbackState, StabilityState
+from cloth_sim_ros.physics.state.controller_state import (
+    ContactState,
+    EnergyState,
+    ErrorState,
+    FallbackState,
+    StabilityState,
+)
 from cloth_sim_ros.physics.state.state import State
 
 if TYPE_CHECKING:
@@ -62,7 +68,7 @@ _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_allowed _applied_refinement _attempts _before _known_contact_energy _duration _elapsed _ends _energy_rule _error "
+    "_allowed _applied_refinement _attempts _before _known_contact_energy _duration _elapsed _ends _error "
     "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_touch _may_turn "
     "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _stability _start_bounds "
     "_start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error exhausted in_fallback limit "
@@ -95,8 +101,6 @@ class Controller:
         self.rejected = 0
         #: True while the reserve finishes the frame; if the work budget allows no finer steps.
         self.in_fallback = self.exhausted = False
-        #: Energy rule, which most frames do not need.
-        self._energy_rule: EnergyRule | None = None
         #: True if a spring may turn over within the present piece.
         self._may_turn = False
         has_previous_frame = StabilityState.key in state.memory
@@ -128,7 +132,7 @@ class Controller:
         proven_step = options.step if options.step is not None and has_previous_frame else 0.0
         memory.max_step = max(memory.max_step, min(max(sheet_limit, proven_step), duration))
         #: Step limit at the start [s].
-        self.limit = self._stability.predicted_limit(t, duration, state)
+        self.limit = sheet_limit if plan.contact is None else self._stability.predicted_limit(t, duration, state)
         contact_time = self._stability.contact_time
         self._may_touch = contact_time > 0.0
         if options.step is not None and not has_previous_frame:
@@ -150,12 +154,10 @@ class Controller:
         self._start_bounds, self._start_v = (memory.omega2, memory.damping), state.v
         self._begin()
 
-    @property
+    @cached_property
     def _energy(self) -> EnergyRule:
-        if self._energy_rule is None:
-            memory = controller_state.EnergyState.load(self._state)
-            self._energy_rule = EnergyRule(self._plan, memory, self._last_refinement)
-        return self._energy_rule
+        """Energy rule, which most frames do not need."""
+        return EnergyRule(self._plan, EnergyState.load(self._state), self._last_refinement)
 
     @cached_property
     def _has_external_work(self) -> bool:
@@ -190,6 +192,7 @@ class Controller:
         if self._plan.has_hinges:
             self._multirate.bounds = self._start_hinge_bounds
         self.estimates_error = True
+        self.__dict__.pop("_energy", None)
         self._begin()
 
     def _begin(self) -> None:
@@ -210,7 +213,6 @@ class Controller:
         self._met_limit, self._halved_step, self._attempts = math.inf, 0.0, 0
         #: Refinement of estimated runs, that of stability included.
         self._applied_refinement = 1.0
-        self._energy_rule = None
 
     def must_restart(self, *, is_missed: bool) -> bool:
         """Return True if the frame must restart with error estimates, because accepted pieces may be wrong too.
@@ -220,7 +222,7 @@ class Controller:
         Args:
             is_missed: True if the predicted error of a piece exceeds its budget.
         """
-        is_predicted = self._frame.n_pieces > 0 and self._frame.sums is None
+        is_predicted = self._frame.n_pieces > 0 and not self._frame.has_estimates
         return (is_missed and is_predicted) or (self._may_turn and not self._is_rough)
 
     # Pieces.
@@ -395,7 +397,7 @@ class Controller:
         n_runs = self.n_runs
         evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
-        if not summary.is_finite or piece.step > self._stability.encountered_limit(tableau, n_runs):
+        if not summary.is_finite or piece.step > self._stability.encountered_limit(tableau, n_runs, summary):
             return False
         return piece.ratio == 1 or not self._multirate.exceeds_limit(piece.ratio * piece.step, summary)
 
@@ -406,7 +408,8 @@ class Controller:
             UnstableError: if no choice is left.
         """
         n_runs, factor, failure = self.n_runs, 1.0, "not within their stability limit"
-        summary, limit = tableau.summary(n_runs), self._stability.encountered_limit(tableau, n_runs)
+        summary = tableau.summary(n_runs)
+        limit = self._stability.encountered_limit(tableau, n_runs, summary)
         if not summary.is_finite:
             # Finer steps would not have got that far.
             factor, failure = 2.0 if piece.step <= limit else 1.0, "not finite"
@@ -472,7 +475,7 @@ class Controller:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
         n_estimates, chosen = self._count_estimates(tableau.counts), self.n_runs
-        if not self._is_rough:
+        if chosen > 1 and not self._is_rough:
             self._measure_difference(tableau, chosen)
         while len(errors) < n_estimates:
             self._append_estimate(tableau, chosen)
@@ -725,7 +728,7 @@ class Controller:
         frame.has_missed = frame.has_missed or error > self._allowed
         frame.refined_time += length if self.refinement > 1.0 else 0.0
         if self.estimates_error:
-            frame.add_estimate(tableau, self._prediction, self._estimate.errors, error)
+            frame.add_estimate(tableau, self._prediction, self._estimate.errors)
         self._before = state.v, length
         tableau.commit(n_runs, state)
         if self._has_tolerance:
@@ -759,12 +762,12 @@ class Controller:
         """Store the rules' numbers for the next advance in the state, and choose its runs and steps."""
         state, error, frame = self._state, self._error, self._frame
         target = CONSTANTS.error_target_fraction * self.budget
-        if frame.sums is not None and frame.sums.is_uniform and not self._is_rough:
-            self._record_estimate(frame.sums, target)
-        elif self._is_rough:
+        if self._is_rough:
             max_step = min(CONSTANTS.stability_safety * self.limit, self._duration)
             error.restart(frame.longest_runs, max(1.0, max_step / frame.longest_step))
-        elif frame.sums is not None:
+        elif frame.has_estimates and frame.is_uniform:
+            self._record_estimate(target)
+        elif frame.has_estimates:
             error.restart(self.n_runs, self.refinement)
         elif self._has_tolerance and self.n_runs > 1 and frame.lower_order_error <= target:
             error.memory.time_until_estimate = 0.0  # one run less may suffice
@@ -786,16 +789,16 @@ class Controller:
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
 
-    def _record_estimate(self, sums: ErrorSums, target: float) -> None:
+    def _record_estimate(self, target: float) -> None:
         """Record the error estimates of a frame, and choose runs and refinement of the next for a target [m]."""
-        refinement, choice = self._applied_refinement, (self._stability, self._duration)
+        frame, refinement, choice = self._frame, self._applied_refinement, (self._stability, self._duration)
         # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
         next_runs, next_refinement = self._error.choose(
-            sums.errors, refinement, target, *choice, rounding_fraction=self._frame.n_pieces, present_runs=self.n_runs
+            frame.errors, refinement, target, *choice, rounding_fraction=frame.n_pieces, present_runs=self.n_runs
         )
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
-        self._error.record_estimate(sums, self.n_runs, next_runs, next_refinement)
+        self._error.record_estimate(frame, self.n_runs, next_runs, next_refinement)
 
     def store_bounds(self) -> None:
         """Store only the spectral bounds in the state; their key must stay, see `reset_step_control`."""

@@ -98,17 +98,17 @@ class StabilityRule:
         self.contact_time = CONSTANTS.operation_time * operations
         return leapfrog_limit(memory.omega2 + omega2, memory.damping + damping)
 
-    def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int) -> float:
+    def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int, summary: RunSummary) -> float:
         """Return the stability limit of the step [s] by contact that n_runs runs met, and the sheet at their end.
 
         If their combination is not finite, contact did not stop a particle, and the sheet is that at the start.
         """
-        contact, summary = self._plan.contact, tableau.summary(n_runs)
-        sheet: RunSummary | StabilityState = summary if summary.is_finite else self.memory
+        contact, is_finite = self._plan.contact, summary.is_finite
+        sheet: RunSummary | StabilityState = summary if is_finite else self.memory
         if contact is None:
             return leapfrog_limit(sheet.omega2, sheet.damping)
         energy, _, rates = tableau.contact_summary(n_runs)
-        if summary.is_finite:
+        if is_finite:
             energy, rates = max(energy, summary.contact_energy), max_rates(rates, summary.self_contact)
         omega2, damping = contact.bounds_at_energy(energy)
         return leapfrog_limit(sheet.omega2 + omega2 + rates[0], sheet.damping + damping + rates[1])
@@ -123,7 +123,8 @@ class StabilityRule:
 
         It should then be halved at once, because an impact is short.
         """
+        if self._plan.contact is None:
+            return False
         sheet_max_step = min(CONSTANTS.stability_safety * self.sheet_limit, length)
         is_shorter = sheet_max_step > CONSTANTS.estimate_trust_factor * max_step
-        has_many = length > CONSTANTS.contact_min_interval_steps * max_step
-        return self._plan.contact is not None and is_shorter and has_many
+        return is_shorter and length > CONSTANTS.contact_min_interval_steps * max_step
