@@ -12,8 +12,9 @@ import pytest
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.controller import Controller
-from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule, ErrorSums
+from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.frame_totals import FrameTotals
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.plan.plan import compile
@@ -64,11 +65,14 @@ def test_impact_after_single_precision_takes_more_runs() -> None:
 
 def test_error_of_another_number_of_runs_is_estimated_again() -> None:
     rule = ErrorRule(ErrorState(duration=0.01, n_runs=3.0), 1e-6, 8, State([[0.0, 0.0, 0.0]]))
-    sums = ErrorSums((6, 8, 10), 0.01, [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3, 1e-9, 1e-9, 1.0, 0.0)
-    rule.record_estimate(sums, 3, 3, 1.0)
+    frame = FrameTotals()
+    frame.runs, frame.errors, frame.changes = ((6, 8, 10), 0.01), [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3
+    frame.error = frame.predicted_error = 1e-9
+    frame.activity = 1.0
+    rule.record_estimate(frame, 3, 3, 1.0)
     assert rule.memory.time_until_estimate > 0.0
     # That of a single run may have been small by chance.
-    rule.record_estimate(sums, 3, 1, 1.0)
+    rule.record_estimate(frame, 3, 1, 1.0)
     assert rule.memory.time_until_estimate == 0.0
 
 

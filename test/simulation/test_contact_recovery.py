@@ -19,7 +19,7 @@ from support.obstacle_sheets import BORNE, SHEET, THICKNESS
 from support.session_maker import SessionMaker
 
 from cloth_sim_ros.physics.contact.thickness import LAYER_RECOVERY_SPEED, RECOVERY_SPEED, START_GAP
-from cloth_sim_ros.physics.control import explicit
+from cloth_sim_ros.physics.control.explicit import ExplicitIntegrator
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import THICKNESS_KEY as KEY
@@ -408,7 +408,7 @@ def test_cloth_stays_awake_while_contacts_recover() -> None:
 def test_repeated_frames_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
     moved, reference = recovering(), recovering()
     order = Move("table", (0.0, 0.0, -0.051))
-    advance, calls = explicit.advance, []
+    advance, calls = ExplicitIntegrator.advance, []
 
     def fails_once(*args: Any) -> Any:
         calls.append(args)
@@ -417,9 +417,9 @@ def test_repeated_frames_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> 
             raise UnstableError("as if obstacles left no room")
         return advance(*args)
 
-    monkeypatch.setattr(explicit, "advance", fails_once)
+    monkeypatch.setattr(ExplicitIntegrator, "advance", fails_once)
     frame = moved.advance([order])
-    monkeypatch.setattr(explicit, "advance", advance)
+    monkeypatch.setattr(ExplicitIntegrator, "advance", advance)
     assert frame.stopped == ("table",)
     assert len(calls) == 2
     # The other simulation's table was never commanded: recovery continues as without the command.
@@ -435,7 +435,7 @@ def test_failed_frames_leave_the_thickness(monkeypatch: pytest.MonkeyPatch) -> N
         raise UnstableError("never")
 
     with monkeypatch.context() as patched:
-        patched.setattr(explicit, "advance", fails)
+        patched.setattr(ExplicitIntegrator, "advance", fails)
         with pytest.raises(UnstableError):
             cloth.advance()
     assert cloth.state.digest() == before

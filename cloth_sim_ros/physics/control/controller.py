@@ -22,17 +22,17 @@ from __future__ import annotations
 
 import math
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
-from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
+from cloth_sim_ros.physics.control.description import describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
-from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorPrediction, ErrorRule, ErrorSums
+from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
-from cloth_sim_ros.physics.control.frame_totals import FrameTotals, Piece
+from cloth_sim_ros.physics.control.frame_totals import ErrorPrediction, FrameTotals, Piece
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
@@ -48,8 +48,17 @@ from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
-from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState, StabilityState
+from cloth_sim_ros.physics.state.controller_state import (
+    ContactState,
+    EnergyState,
+    ErrorState,
+    FallbackState,
+    StabilityState,
+)
 from cloth_sim_ros.physics.state.state import State
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.control.explicit import ExplicitIntegrator
 
 #: Largest number of force evaluations of a displacement by velocities.
 DISPLACEMENT_EVALUATIONS = 9
@@ -59,7 +68,7 @@ _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_allowed _applied_refinement _attempts _before _contact_limit _duration _elapsed _ends _energy_rule _error "
+    "_allowed _applied_refinement _attempts _before _known_contact_energy _duration _elapsed _ends _error "
     "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_touch _may_turn "
     "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _stability _start_bounds "
     "_start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error exhausted in_fallback limit "
@@ -85,22 +94,20 @@ class Controller:
     # A plain frame reads each attribute only a few times, and slots are faster then.
     __slots__ = _ATTRIBUTES.split()
 
-    def __init__(self, options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float) -> None:
+    def __init__(self, options: ExplicitIntegrator, plan: Plan, state: State, t: float, duration: float) -> None:
         self.options, self._plan, self._state, self._t0, self._duration = options, plan, state, t, duration
         self._has_tolerance = has_tolerance = options.tolerance is not None
         #: Rejected attempts.
         self.rejected = 0
         #: True while the reserve finishes the frame; if the work budget allows no finer steps.
         self.in_fallback = self.exhausted = False
-        #: Energy rule, which most frames do not need.
-        self._energy_rule: EnergyRule | None = None
         #: True if a spring may turn over within the present piece.
         self._may_turn = False
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
         refuse_unbounded(memory.omega2, memory.damping)
-        sheet_limit = options.step_limit(memory.omega2, memory.damping)
+        sheet_limit = self._stability.sheet_limit
         if abs(error.duration - duration) > 1e-6 * duration:
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
@@ -115,6 +122,8 @@ class Controller:
         tolerance = math.inf if options.tolerance is None else options.tolerance
         self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
         self._error = ErrorRule(error, self.budget, options.n_runs, state)
+        #: Largest contact energy per mass of the last frame with an estimate, in U^2/2.
+        self._known_contact_energy = 0.0 if plan.contact is None else ContactState.load(state).contact_energy
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
@@ -123,9 +132,8 @@ class Controller:
         proven_step = options.step if options.step is not None and has_previous_frame else 0.0
         memory.max_step = max(memory.max_step, min(max(sheet_limit, proven_step), duration))
         #: Step limit at the start [s].
-        self._contact_limit = ContactStepLimit(options, plan, state, memory)
-        self.limit = sheet_limit if plan.contact is None else self._contact_limit.predicted_limit(t, duration, state)
-        contact_time = self._contact_limit.contact_time
+        self.limit = sheet_limit if plan.contact is None else self._stability.predicted_limit(t, duration, state)
+        contact_time = self._stability.contact_time
         self._may_touch = contact_time > 0.0
         if options.step is not None and not has_previous_frame:
             refuse_step(options.step, self.limit, options.name)
@@ -146,12 +154,10 @@ class Controller:
         self._start_bounds, self._start_v = (memory.omega2, memory.damping), state.v
         self._begin()
 
-    @property
+    @cached_property
     def _energy(self) -> EnergyRule:
-        if self._energy_rule is None:
-            memory = controller_state.EnergyState.load(self._state)
-            self._energy_rule = EnergyRule(self._plan, memory, self._last_refinement)
-        return self._energy_rule
+        """Energy rule, which most frames do not need."""
+        return EnergyRule(self._plan, EnergyState.load(self._state), self._last_refinement)
 
     @cached_property
     def _has_external_work(self) -> bool:
@@ -186,6 +192,7 @@ class Controller:
         if self._plan.has_hinges:
             self._multirate.bounds = self._start_hinge_bounds
         self.estimates_error = True
+        self.__dict__.pop("_energy", None)
         self._begin()
 
     def _begin(self) -> None:
@@ -206,7 +213,6 @@ class Controller:
         self._met_limit, self._halved_step, self._attempts = math.inf, 0.0, 0
         #: Refinement of estimated runs, that of stability included.
         self._applied_refinement = 1.0
-        self._energy_rule = None
 
     def must_restart(self, *, is_missed: bool) -> bool:
         """Return True if the frame must restart with error estimates, because accepted pieces may be wrong too.
@@ -216,7 +222,7 @@ class Controller:
         Args:
             is_missed: True if the predicted error of a piece exceeds its budget.
         """
-        is_predicted = self._frame.n_pieces > 0 and self._frame.sums is None
+        is_predicted = self._frame.n_pieces > 0 and not self._frame.has_estimates
         return (is_missed and is_predicted) or (self._may_turn and not self._is_rough)
 
     # Pieces.
@@ -236,10 +242,11 @@ class Controller:
         while True:
             stretch = self._stretch = self._ends[-1] - self._elapsed
             is_whole = stretch == self._duration
-            limit = self.limit if is_whole else self._contact_limit.predicted_limit(t, stretch, self._state)
+            limit = self.limit if is_whole else self._stability.predicted_limit(t, stretch, self._state)
             limit = min(self._met_limit, limit)
             max_step = min(CONSTANTS.stability_safety * limit, stretch)
-            if not (self._contact_limit.should_halve(max_step, stretch) and self._halve(stretch)):
+            should_halve = self._has_tolerance and self._stability.should_halve(max_step, stretch)
+            if not (should_halve and self._halve(stretch)):
                 break
         if options.step is not None and options.step <= limit:
             max_step = options.step
@@ -248,7 +255,7 @@ class Controller:
         ratio, self._multirate_refinement = 1, 1.0
         if self._ratio > 1:
             ratio, self._multirate_refinement = self._multirate.ratio_within(max_step, stretch)
-        self.work.set_weight(ratio, self._contact_limit.contact_time)
+        self.work.set_weight(ratio, self._stability.contact_time)
         steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         reserved = self.work.rest_of(self._duration - self._ends[-1], len(self._ends))
         if not self.work.fits(self.work.work_of(self.n_runs, steps, n_pieces) + reserved):
@@ -390,7 +397,7 @@ class Controller:
         n_runs = self.n_runs
         evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
-        if not summary.is_finite or piece.step > self._contact_limit.encountered_limit(tableau, n_runs, summary):
+        if not summary.is_finite or piece.step > self._stability.encountered_limit(tableau, n_runs, summary):
             return False
         return piece.ratio == 1 or not self._multirate.exceeds_limit(piece.ratio * piece.step, summary)
 
@@ -402,15 +409,12 @@ class Controller:
         """
         n_runs, factor, failure = self.n_runs, 1.0, "not within their stability limit"
         summary = tableau.summary(n_runs)
-        if summary.is_finite:
-            limit = self._contact_limit.encountered_limit(tableau, n_runs, summary)
-            if piece.ratio > 1 and self._multirate.exceeds_limit(piece.ratio * piece.step, summary):
-                self._multirate.ratio = self._ratio = 1
-        else:
-            # Contact did not stop a particle; with finer steps it would not have got that far.
-            energy, _, rates = tableau.contact_summary(n_runs)
-            limit = self._contact_limit.limit_at_energy(energy, rates, self._stability.memory)
+        limit = self._stability.encountered_limit(tableau, n_runs, summary)
+        if not summary.is_finite:
+            # Finer steps would not have got that far.
             factor, failure = 2.0 if piece.step <= limit else 1.0, "not finite"
+        elif piece.ratio > 1 and self._multirate.exceeds_limit(piece.ratio * piece.step, summary):
+            self._multirate.ratio = self._ratio = 1
         # If a run ended on a surface, the limit is zero.
         self._met_limit = min(self._met_limit, limit or 0.5 * piece.step)
         self._retry(factor, failure, piece)
@@ -444,12 +448,10 @@ class Controller:
             max(summary.activity, summary.change_from_before),
             tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
         )
-        contact_energy = 0.0
-        if self._plan.contact is not None:
-            _, contact_energy, _ = tableau.contact_summary(n_runs)
-            if self._contact_limit.exceeds_known_energy(contact_energy):
-                # The contact is harder than in the frame of the last estimate, or the first one.
-                error = math.inf
+        _, contact_energy, _ = tableau.contact_summary(n_runs)
+        if contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
+            # The contact is harder than in the frame of the last estimate, or the first one.
+            error = math.inf
         self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy)
         return math.inf if self.estimates_error else error
 
@@ -473,7 +475,7 @@ class Controller:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
         n_estimates, chosen = self._count_estimates(tableau.counts), self.n_runs
-        if not self._is_rough:
+        if chosen > 1 and not self._is_rough:
             self._measure_difference(tableau, chosen)
         while len(errors) < n_estimates:
             self._append_estimate(tableau, chosen)
@@ -628,7 +630,7 @@ class Controller:
     def keeps_energy(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> bool:
         """Check the energy of a piece whose error is unknown or over budget; return False if it creates energy."""
         n_runs, energy, drift = self.n_runs, self._energy, None
-        has_contact = self._contact_limit.has_contact(tableau, n_runs)
+        has_contact = self._stability.has_contact(tableau, n_runs)
         omega2 = self._stability.memory.omega2, math.inf if has_contact else tableau.summary(n_runs).omega2
         # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
         steps_differ = n_runs > 1 or self._is_rough
@@ -726,7 +728,7 @@ class Controller:
         frame.has_missed = frame.has_missed or error > self._allowed
         frame.refined_time += length if self.refinement > 1.0 else 0.0
         if self.estimates_error:
-            frame.add_estimate(tableau, self._prediction, self._estimate.errors, error)
+            frame.add_estimate(tableau, self._prediction, self._estimate.errors)
         self._before = state.v, length
         tableau.commit(n_runs, state)
         if self._has_tolerance:
@@ -760,12 +762,12 @@ class Controller:
         """Store the rules' numbers for the next advance in the state, and choose its runs and steps."""
         state, error, frame = self._state, self._error, self._frame
         target = CONSTANTS.error_target_fraction * self.budget
-        if frame.sums is not None and frame.sums.is_uniform and not self._is_rough:
-            self._record_estimate(frame.sums, target)
-        elif self._is_rough:
+        if self._is_rough:
             max_step = min(CONSTANTS.stability_safety * self.limit, self._duration)
             error.restart(frame.longest_runs, max(1.0, max_step / frame.longest_step))
-        elif frame.sums is not None:
+        elif frame.has_estimates and frame.is_uniform:
+            self._record_estimate(target)
+        elif frame.has_estimates:
             error.restart(self.n_runs, self.refinement)
         elif self._has_tolerance and self.n_runs > 1 and frame.lower_order_error <= target:
             error.memory.time_until_estimate = 0.0  # one run less may suffice
@@ -781,20 +783,22 @@ class Controller:
         if self._plan.has_hinges:
             self._multirate.memory.ratio = float(self._multirate.ratio)
             self._multirate.memory.store(state)
-        self._contact_limit.store(state, frame.contact_energy if self.estimates_error else None)
+        if self._plan.contact is not None:
+            energy = frame.contact_energy if self.estimates_error else self._known_contact_energy
+            ContactState(energy).store(state)
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
 
-    def _record_estimate(self, sums: ErrorSums, target: float) -> None:
+    def _record_estimate(self, target: float) -> None:
         """Record the error estimates of a frame, and choose runs and refinement of the next for a target [m]."""
-        refinement, choice = self._applied_refinement, (self._stability, self._duration)
+        frame, refinement, choice = self._frame, self._applied_refinement, (self._stability, self._duration)
         # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
         next_runs, next_refinement = self._error.choose(
-            sums.errors, refinement, target, *choice, rounding_fraction=self._frame.n_pieces, present_runs=self.n_runs
+            frame.errors, refinement, target, *choice, rounding_fraction=frame.n_pieces, present_runs=self.n_runs
         )
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
-        self._error.record_estimate(sums, self.n_runs, next_runs, next_refinement)
+        self._error.record_estimate(frame, self.n_runs, next_runs, next_refinement)
 
     def store_bounds(self) -> None:
         """Store only the spectral bounds in the state; their key must stay, see `reset_step_control`."""

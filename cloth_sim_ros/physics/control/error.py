@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import NamedTuple
 
 import attrs
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_component
-from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, power, root
+from cloth_sim_ros.physics.arithmetic.deterministic_math import power, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.control.frame_totals import FrameTotals
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
@@ -36,17 +36,6 @@ _EPSILON = sys.float_info.epsilon
 _COORDINATE_ROUNDINGS = 4.0
 #: The predicted error of a single run grows with this power of the velocity change, as x''' may.
 _ACTIVITY_EXPONENT = 3
-
-
-class ErrorPrediction(NamedTuple):
-    """Predicted errors of a piece [m], and the activity and contact energy that the prediction used."""
-
-    #: Errors of the combination and of one run less [m]; infinite if they are unknown.
-    error: float = 0.0
-    lower_order_error: float = 0.0
-    #: Activity [m/s], see `runs.activity_of`, and largest contact energy per mass, in U^2/2.
-    activity: float = 0.0
-    contact_energy: float = 0.0
 
 
 @attrs.define
@@ -112,37 +101,6 @@ class ErrorEstimate:
             return n_runs
         n_confirming = len(fits) if self.is_rough else 0
         return next((k for k, fit in enumerate(fits, 1) if fit and all(fits[k - 1 : n_confirming])), n_runs)
-
-
-@attrs.define
-class ErrorSums:
-    """Sums of error estimates over the equal pieces of a frame."""
-
-    #: Step counts of the runs, and length of each piece [s].
-    counts: tuple[int, ...]
-    length: float
-    #: Errors of T_1, T_2, ... [m], as many as all pieces have in common.
-    errors: list[float]
-    #: Changes of positions [m] and of velocities [m/s] from T_1 to T_2, from T_2 to T_3, ...
-    changes: list[tuple[float, float]]
-    #: Estimated error of the chosen combination, and its prediction [m].
-    error: float
-    predicted: float
-    #: Largest activity and largest change of jerk of a piece [m/s].
-    activity: float
-    jerk_change: float
-    #: False if a piece has other runs; the sums are then of no use.
-    is_uniform: bool = True
-
-    def add(self, piece: ErrorSums) -> None:
-        """Add the error estimates of a further piece; pieces with other runs make the sums useless."""
-        self.is_uniform &= (self.counts, self.length) == (piece.counts, piece.length)
-        self.errors = [ordered_sum(pair) for pair in zip(self.errors, piece.errors, strict=False)]
-        pairs = zip(self.changes, piece.changes, strict=False)
-        self.changes = [(x + dx, v + dv) for (x, v), (dx, dv) in pairs]
-        self.error, self.predicted = self.error + piece.error, self.predicted + piece.predicted
-        self.activity = max(self.activity, piece.activity)
-        self.jerk_change = max(self.jerk_change, piece.jerk_change)
 
 
 class ErrorRule:
@@ -231,7 +189,7 @@ class ErrorRule:
 
     def choose(
         self,
-        errors: list[float],
+        errors: Sequence[float],
         refinement: float,
         target: float,
         stability: StabilityRule,
@@ -267,26 +225,26 @@ class ErrorRule:
                 best = (n_runs, required_refinement, work)
         return best[0], best[1]
 
-    def record_estimate(self, sums: ErrorSums, n_runs: int, next_runs: int, next_refinement: float) -> None:
+    def record_estimate(self, frame: FrameTotals, n_runs: int, next_runs: int, next_refinement: float) -> None:
         """Record the error estimates of an accepted frame, and set the time until the next estimate.
 
         Args:
-            sums: errors of its pieces.
+            frame: totals of its pieces.
             n_runs: number of combined runs.
             next_runs: number of combined runs of the next frame.
             next_refinement: their refinement.
         """
-        memory, errors, error, counts, length = self.memory, sums.errors, sums.error, sums.counts, sums.length
-        prediction_ratio = error / sums.predicted if sums.predicted > 0.0 else math.inf
-        is_predicted = math.isfinite(sums.predicted)
+        memory, errors, error, (counts, length) = self.memory, frame.errors, frame.error, frame.runs
+        prediction_ratio = error / frame.predicted_error if frame.predicted_error > 0.0 else math.inf
+        is_predicted = math.isfinite(frame.predicted_error)
         is_far_below = error <= CONSTANTS.low_error_fraction * self.budget
-        memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, sums.activity
-        memory.jerk_change = sums.jerk_change
+        memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, frame.activity
+        memory.jerk_change = frame.jerk_change
         memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs))
         memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:
             floor = self.rounding_floor(next_runs - 1)
-            position_change, velocity_change = sums.changes[next_runs - 2]
+            position_change, velocity_change = frame.changes[next_runs - 2]
             displaced = max(0.0, errors[next_runs - 2] - position_change)
             memory.velocity_weight = displaced / velocity_change if velocity_change else 0.0
             memory.lower_order_error = max(errors[next_runs - 2], floor)

@@ -16,65 +16,80 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control import fallback
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.controller import Controller
-from cloth_sim_ros.physics.control.description import ExplicitSettings
-from cloth_sim_ros.physics.integrators.base import Advance, NoRoomError
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, NoRoomError
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 
 
-def advance(
-    options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None
-) -> Advance:
-    """Advance a state by a duration [s] with explicit steps, and with a fallback if these are abandoned.
+class ExplicitIntegrator(Integrator):
+    """Base class of integrators by leapfrog runs, alone or combined."""
 
-    Explicit steps may be abandoned, because they exceed the work limit or create energy. The frame then starts again.
-    With contact and a tolerance, single runs within a reserve of work advance it. If that fails too, implicit steps do.
-    Implicit steps are the only fallback without contact, or without a tolerance, or if bodies leave the cloth no room.
+    #: Largest number of combined runs; their number without a tolerance.
+    n_runs: int
+    #: Fixed step [s] and tolerance of positions [m]; None for none.
+    step: float | None
+    tolerance: float | None
+    #: Work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
+    work: float
 
-    Raises:
-        UnstableError: if no choice is left and there is no fallback.
-        StepLimitError: if a fixed step exceeds the limit at the start.
-    """
-    controller, start = Controller(options, plan, state, t, duration), state.shallow_copy()
-    try:
-        is_finished = integrate(controller, state, start, t, duration, accumulator)
-        if not is_finished and controller.has_explicit_fallback:
-            state.restore_motion(start)
-            controller.use_reserve()
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        return leapfrog_limit(omega2, damping_rate)
+
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
+    ) -> Advance:
+        """Advance a state by a duration [s] with explicit steps, and with a fallback if these are abandoned.
+
+        Explicit steps may be abandoned, because they exceed the work limit or create energy. The frame then starts
+        again. With contact and a tolerance, single runs within a reserve of work advance it. If that fails too,
+        implicit steps do. Implicit steps are the only fallback without contact, or without a tolerance, or if bodies
+        leave the cloth no room.
+
+        Raises:
+            UnstableError: if no choice is left and there is no fallback.
+            StepLimitError: if a fixed step exceeds the limit at the start.
+        """
+        controller, start = Controller(self, plan, state, t, duration), state.shallow_copy()
+        try:
             is_finished = integrate(controller, state, start, t, duration, accumulator)
-    except BaseException as error:
+            if not is_finished and controller.has_explicit_fallback:
+                state.restore_motion(start)
+                controller.use_reserve()
+                is_finished = integrate(controller, state, start, t, duration, accumulator)
+        except BaseException as error:
+            state.restore_motion(start)
+            # No step is short enough if moving bodies left the cloth no space. A force in Python may raise anything.
+            if not (isinstance(error, NoRoomError) and fallback.is_implicit_feasible(plan)):
+                raise
+            is_finished = False
+        if is_finished:
+            controller.store()
+            return controller.report()
         state.restore_motion(start)
-        # No step is short enough if moving bodies left the cloth no space. A force in Python may raise anything.
-        if not (isinstance(error, NoRoomError) and fallback.is_implicit_feasible(plan)):
-            raise
-        is_finished = False
-    if is_finished:
-        controller.store()
-        return controller.report()
-    state.restore_motion(start)
-    # Implicit steps finish the frame from its start.
-    work = controller.work
-    controller.store_bounds()
-    if accumulator is not None:
-        accumulator.reset()
-    limit = options.work * duration or math.inf
-    result = fallback.finish_implicitly(
-        plan,
-        state,
-        t,
-        duration,
-        accumulator,
-        instead_of=options.name,
-        max_evaluations=work.max_evaluations - work.used,
-        max_time=CONSTANTS.implicit_finish_cost * limit,
-    )
-    return result._replace(
-        evaluations=work.evaluations + result.evaluations,
-        limit=controller.limit,
-        rejected=controller.rejected,
-        limited_by="work",
-        error=result.error if options.tolerance is not None else None,
-    )
+        # Implicit steps finish the frame from its start.
+        work = controller.work
+        controller.store_bounds()
+        if accumulator is not None:
+            accumulator.reset()
+        limit = self.work * duration or math.inf
+        result = fallback.finish_implicitly(
+            plan,
+            state,
+            t,
+            duration,
+            accumulator,
+            instead_of=self.name,
+            max_evaluations=work.max_evaluations - work.used,
+            max_time=CONSTANTS.implicit_finish_cost * limit,
+        )
+        return result._replace(
+            evaluations=work.evaluations + result.evaluations,
+            limit=controller.limit,
+            rejected=controller.rejected,
+            limited_by="work",
+            error=result.error if self.tolerance is not None else None,
+        )
 
 
 def integrate(
@@ -110,8 +125,9 @@ def integrate(
                 accumulator.reset()
             continue
         if error > allowed:  # rule 2: error, by an estimate unless it is predicted
+            n_runs = controller.n_runs
             error = controller.estimate(tableau, t + elapsed, piece, allowed)
-            if not controller.is_stable(tableau, piece):  # with the runs that the estimate chose
+            if controller.n_runs != n_runs and not controller.is_stable(tableau, piece):
                 controller.reject_unstable(tableau, piece)
                 continue
             if error > allowed and controller.reject_inaccurate(piece, allowed):

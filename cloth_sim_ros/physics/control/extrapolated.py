@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.control.leapfrog import ExplicitIntegrator
+from cloth_sim_ros.physics.control.explicit import ExplicitIntegrator
 from cloth_sim_ros.physics.control.stability import MAX_COMBINED_RUNS
 from cloth_sim_ros.physics.integrators.base import check_settings
 from cloth_sim_ros.physics.old_names import with_old_arguments, with_old_names

@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from cloth_sim_ros.physics.control.error import ErrorPrediction, ErrorSums
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
 
 
@@ -30,6 +31,17 @@ class Piece(NamedTuple):
         return self.length / self.steps
 
 
+class ErrorPrediction(NamedTuple):
+    """Predicted errors of a piece [m], and the activity and contact energy that the prediction used."""
+
+    #: Errors of the combination and of one run less [m]; infinite if they are unknown.
+    error: float = 0.0
+    lower_order_error: float = 0.0
+    #: Activity [m/s], see `runs.activity_of`, and largest contact energy per mass, in U^2/2.
+    activity: float = 0.0
+    contact_energy: float = 0.0
+
+
 class FrameTotals:
     """Totals over the accepted pieces of a frame: steps, errors, contact energy and error estimates."""
 
@@ -43,8 +55,17 @@ class FrameTotals:
     contact_energy = 0.0
     #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
     longest_step, longest_runs = 0.0, 1
-    #: Sums of estimates; None while pieces are accepted by predictions.
-    sums: ErrorSums | None = None
+    #: Sum of predicted errors [m]; largest activity, and largest change of jerk, of a piece [m/s].
+    predicted_error, activity, jerk_change = 0.0, 0.0, 0.0
+    #: False while pieces are accepted by predictions. Each has an estimate then; False if a piece has other runs, which
+    #: makes the sums of estimates useless.
+    has_estimates, is_uniform = False, True
+    #: Step counts of the runs, and length of each piece [s].
+    runs: tuple[tuple[int, ...], float] = (), 0.0
+    #: Errors of T_1, T_2, ... [m], as many as all pieces have in common.
+    errors: Sequence[float] = ()
+    #: Changes of positions [m] and of velocities [m/s] from T_1 to T_2, from T_2 to T_3, ...
+    changes: Sequence[tuple[float, float]] = ()
 
     def add(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, prediction: ErrorPrediction, error: float
@@ -58,14 +79,14 @@ class FrameTotals:
         self.lower_order_error += prediction.lower_order_error
         self.contact_energy = max(self.contact_energy, prediction.contact_energy)
 
-    def add_estimate(
-        self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: list[float], error: float
-    ) -> None:
-        """Add an accepted piece's error estimates [m]: of 1, 2, ... combined runs, and of the chosen number."""
-        changes = [tableau.change(k) for k in range(1, len(errors) + 1)]
-        known = prediction.error, prediction.activity, tableau.jerk_change
-        sums = ErrorSums(tableau.counts, tableau.duration, errors, changes, error, *known)
-        if self.sums is None:
-            self.sums = sums
-        else:
-            self.sums.add(sums)
+    def add_estimate(self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: Sequence[float]) -> None:
+        """Add an accepted piece's error estimates [m] of 1, 2, ... combined runs."""
+        runs, changes = (tableau.counts, tableau.duration), [tableau.change(k) for k in range(1, len(errors) + 1)]
+        if self.has_estimates:
+            self.is_uniform &= self.runs == runs
+            errors = [ordered_sum(pair) for pair in zip(self.errors, errors, strict=False)]
+            changes = [(x + dx, v + dv) for (x, v), (dx, dv) in zip(self.changes, changes, strict=False)]
+        self.has_estimates, self.runs, self.errors, self.changes = True, runs, errors, changes
+        self.predicted_error += prediction.error
+        self.activity = max(self.activity, prediction.activity)
+        self.jerk_change = max(self.jerk_change, tableau.jerk_change)

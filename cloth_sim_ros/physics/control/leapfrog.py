@@ -4,30 +4,9 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.control import explicit
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_settings
-from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.control.explicit import ExplicitIntegrator
+from cloth_sim_ros.physics.integrators.base import check_settings
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.state import State
-
-
-class ExplicitIntegrator(Integrator):
-    """Base class of integrators by leapfrog runs, alone or combined."""
-
-    n_runs: int
-    step: float | None
-    tolerance: float | None
-    work: float
-
-    def step_limit(self, omega2: float, damping_rate: float) -> float:
-        return leapfrog_limit(omega2, damping_rate)
-
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
-    ) -> Advance:
-        return explicit.advance(self, plan, state, t, duration, accumulator)
 
 
 @with_old_names(columns="n_runs")

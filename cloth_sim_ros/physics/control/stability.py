@@ -1,8 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stability rule: refinement of steps, and number of pieces, that combinations of runs require.
+"""Stability rule: limit of the step by sheet and contact, refinement and pieces that combinations of runs require.
 
-The leapfrog's limit follows from bounds of stiffness and damping. A combination of runs has the same limit if damping
+The leapfrog's limit follows from bounds of stiffness and damping. Contact that is predicted, or that a run met, adds to
+them. A combination of runs has the same limit if damping
 removes fast waves within a piece. Without such damping, runs with different steps diverge too far over many steps. Then
 a piece has few steps, and the stability function of the combination shortens them (docs/step_control.md).
 """
@@ -13,11 +14,14 @@ import math
 from functools import cached_property
 
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIOS
-from cloth_sim_ros.physics.integrators.limit import steps_for
+from cloth_sim_ros.physics.integrators.base import NoRoomError
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIOS, ExtrapolationTableau, max_rates
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit, steps_for
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import RunSummary
 from cloth_sim_ros.physics.state.controller_state import StabilityState
+from cloth_sim_ros.physics.state.state import State
 
 #: Maximum number of combined runs; one further run estimates their error.
 MAX_COMBINED_RUNS = len(RATIOS) - 1
@@ -29,7 +33,7 @@ UNDAMPED_LIMIT_FRACTIONS = (1.0, 0.125, 0.75, 0.25)
 
 
 class StabilityRule:
-    """Rule for the refinement and the number of pieces that stable combinations of runs require.
+    """Rule for the limit of the step, and for the refinement and pieces that stable combinations of runs require.
 
     Args:
         plan: equations of motion.
@@ -39,6 +43,8 @@ class StabilityRule:
 
     def __init__(self, plan: Plan, memory: StabilityState, x: Array) -> None:
         self._plan, self.memory = plan, memory
+        #: Estimated time that possible contacts add to a force evaluation, by the last prediction [ns].
+        self.contact_time = 0.0
         if memory.omega2 < 0.0:
             memory.omega2, memory.damping = plan.spectral_bounds(x)
 
@@ -68,3 +74,57 @@ class StabilityRule:
         if n_runs == 1 or self.is_damped(length):
             return n_pieces
         return max(n_pieces, math.ceil(steps / MAX_UNDAMPED_STEPS))
+
+    @property
+    def sheet_limit(self) -> float:
+        """Stability limit of the step [s] without contact, from the model's last spectral bounds."""
+        return leapfrog_limit(self.memory.omega2, self.memory.damping)
+
+    def predicted_limit(self, t: float, duration: float, state: State) -> float:
+        """Return the stability limit of the step [s] with the contact predicted from t to t + duration [s].
+
+        Raises:
+            NoRoomError: if no step is short enough.
+        """
+        contact, memory = self._plan.contact, self.memory
+        if contact is None:
+            return self.sheet_limit
+        try:
+            omega2, damping, operations = contact.predict_contact(t, duration, state.x, state.v, state.memory)
+        except ValueError as error:
+            raise NoRoomError(str(error)) from error
+        if not omega2 < math.inf:
+            raise NoRoomError("no step is short enough for contact: moving bodies have left the cloth no room")
+        self.contact_time = CONSTANTS.operation_time * operations
+        return leapfrog_limit(memory.omega2 + omega2, memory.damping + damping)
+
+    def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int, summary: RunSummary) -> float:
+        """Return the stability limit of the step [s] by contact that n_runs runs met, and the sheet at their end.
+
+        If their combination is not finite, contact did not stop a particle, and the sheet is that at the start.
+        """
+        contact, is_finite = self._plan.contact, summary.is_finite
+        sheet: RunSummary | StabilityState = summary if is_finite else self.memory
+        if contact is None:
+            return leapfrog_limit(sheet.omega2, sheet.damping)
+        energy, _, rates = tableau.contact_summary(n_runs)
+        if is_finite:
+            energy, rates = max(energy, summary.contact_energy), max_rates(rates, summary.self_contact)
+        omega2, damping = contact.bounds_at_energy(energy)
+        return leapfrog_limit(sheet.omega2 + omega2 + rates[0], sheet.damping + damping + rates[1])
+
+    def has_contact(self, tableau: ExtrapolationTableau, n_runs: int) -> bool:
+        """Return True if the first n_runs runs of a tableau met an obstacle or the cloth itself."""
+        energy, _, rates = tableau.contact_summary(n_runs)
+        return bool(energy or tableau.summary(n_runs).contact_energy or rates[0])
+
+    def should_halve(self, max_step: float, length: float) -> bool:
+        """Return True if contact requires much shorter steps [s] than the sheet, and a length [s] has many of them.
+
+        It should then be halved at once, because an impact is short.
+        """
+        if self._plan.contact is None:
+            return False
+        sheet_max_step = min(CONSTANTS.stability_safety * self.sheet_limit, length)
+        is_shorter = sheet_max_step > CONSTANTS.estimate_trust_factor * max_step
+        return is_shorter and length > CONSTANTS.contact_min_interval_steps * max_step

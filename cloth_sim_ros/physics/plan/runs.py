@@ -160,4 +160,4 @@ class RunSummary(NamedTuple):
     @property
     def is_finite(self) -> bool:
         """True if the result is finite, no particle is inside an obstacle, and the cloth does not intersect itself."""
-        return self.activity < float("inf")
+        return self.activity < math.inf
