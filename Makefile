@@ -58,7 +58,8 @@ help:
 run: $(DEMO) engine
 	@$(BIN)/python -m cloth_sim_ros.ros.demo $(ARGS)
 
-# A process a core; a file's tests stay together. ARGS="-n 0" runs them in one process.
+# Three processes for two cores, one of them for tests that wait for nodes; a file's tests stay together.
+# ARGS="-n 0" runs them in one process.
 test: $(DEV) engines
 	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 

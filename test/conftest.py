@@ -66,6 +66,30 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     )
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Return the number of workers of `-n auto`."""
+    from support import worker_scheduling
+
+    return worker_scheduling.count_workers(len(os.sched_getaffinity(0)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Return a scheduler that separates timed tests for `--dist loadfile`, and None for other distributions."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from support import worker_scheduling
+
+    return worker_scheduling.TimedFileScheduling(config, log)
+
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    from support import worker_scheduling
+
+    worker_scheduling.lower_priority(os.environ)
+
+
 # Without a folder at the top of the repository there is nothing that its tests could measure.
 collect_ignore = [name for name in ("benchmarks", "validation") if not (ROOT / name / "__init__.py").exists()]
 
