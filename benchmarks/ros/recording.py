@@ -46,10 +46,10 @@ def run(options: argparse.Namespace) -> Report:
 
 
 def _load(path: Path) -> list[Message]:
-    """Return the first messages of a session."""
+    """Return the first messages of a session from its first frame on."""
     loaded, size = list[Message](), 0
     with SessionReader(path) as reader:
-        for message in reader.messages():
+        for message in itertools.dropwhile(lambda entry: not entry.topic.endswith("/frame"), reader.messages()):
             loaded.append(message)
             size += len(message.data)
             if size > _MEMORY:

@@ -21,9 +21,8 @@ def test_altitude_springs_recover_every_start(degrees, edge_stiffness):
     for name in REST_TRIANGLES:
         rest_positions = rest_shape(name, math.radians(degrees))
         for kind in STARTS:
-            begin = start_positions(
-                kind, rest_positions, COUNTS[edge_stiffness], np.random.default_rng([round(degrees), len(name), len(kind)])
-            )
+            rng = np.random.default_rng([round(degrees), len(name), len(kind)])
+            begin = start_positions(kind, rest_positions, COUNTS[edge_stiffness], rng)
             came = simulate_recovery(begin, rest_positions, edge_stiffness=edge_stiffness)
             total += came.starts
             if came.missed:
