@@ -19,9 +19,9 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 def largest_distance(x: Array, y: Array) -> float:
     """Return the largest distance [m] of a particle between two arrays (3, n); infinite if an entry is not finite."""
-    out, shape = ctypes.c_double(), (3, *x.shape[1:2])
-    addresses = float64_address("x", x, shape), float64_address("y", y, shape)
-    check(library().cloth_distance(*addresses, x.shape[1], ctypes.addressof(out)))
+    out, count = ctypes.c_double(), x.shape[-1]
+    addresses = float64_address("x", x, (3, count)), float64_address("y", y, (3, count))
+    check(library().cloth_distance(*addresses, count, ctypes.addressof(out)))
     return float(out.value)
 
 

@@ -620,8 +620,6 @@ class Controller:
 
     def _fits(self, n_runs: int, refinement: float, piece: Piece) -> bool:
         """Return True if a further attempt of a piece fits the remaining work of the frame."""
-        if self.work.cap == math.inf:
-            return True
         work = self._attempt_work(n_runs, refinement, piece.length, piece.max_step)
         return self.work.fits(work + self._rest_work(piece))
 

@@ -52,11 +52,11 @@ class ExplicitIntegrator(Integrator):
         """
         controller, start = Controller(self, plan, state, t, duration), state.shallow_copy()
         try:
-            is_finished = integrate(controller, state, start, t, duration, accumulator)
-            if not is_finished and controller.has_explicit_fallback:
+            while not (is_finished := integrate(controller, state, start, t, duration, accumulator)):
                 state.restore_motion(start)
+                if not controller.has_explicit_fallback:
+                    break
                 controller.use_reserve()
-                is_finished = integrate(controller, state, start, t, duration, accumulator)
         except BaseException as error:
             state.restore_motion(start)
             # No step is short enough if moving bodies left the cloth no space. A force in Python may raise anything.
@@ -70,8 +70,6 @@ class ExplicitIntegrator(Integrator):
         # Implicit steps finish the frame from its start.
         work = controller.work
         controller.store_bounds()
-        if accumulator is not None:
-            accumulator.reset()
         limit = self.work * duration or math.inf
         result = fallback.finish_implicitly(
             plan,

@@ -10,7 +10,6 @@ the kinetic energy (docs/derivations/single_precision.md).
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 
@@ -48,17 +47,12 @@ class PrecisionRule:
 
     def __init__(self, plan: Plan, state: State, duration: float, budget: float) -> None:
         self._plan, self._duration = plan, duration
-        self._state, self.memory = state, PrecisionState.load(state)
+        self.memory, self.noise = PrecisionState.load(state), RoundingNoiseState.load(state)
         #: Attempts that missed the budget.
         self.n_misses = 0
         self._rounding_budget = CONSTANTS.single_precision_budget_fraction * budget
         #: Allowed uncertainty of an error estimate [m]; it can still show that an error is far below the budget.
         self._estimate_uncertainty = CONSTANTS.estimate_trust_factor * CONSTANTS.low_error_fraction * budget
-
-    @cached_property
-    def noise(self) -> RoundingNoiseState:
-        """Measured power of rounding; frames of small sheets do not need it."""
-        return RoundingNoiseState.load(self._state)
 
     def store(self, state: State) -> None:
         """Store the measured effects of rounding on positions and energy in a state."""

@@ -103,12 +103,11 @@ class StabilityRule:
 
         If their combination is not finite, contact did not stop a particle, and the sheet is that at the start.
         """
-        contact, is_finite = self._plan.contact, summary.is_finite
-        sheet: RunSummary | StabilityState = summary if is_finite else self.memory
+        contact, sheet = self._plan.contact, summary if summary.is_finite else self.memory
         if contact is None:
             return leapfrog_limit(sheet.omega2, sheet.damping)
         energy, _, rates = tableau.contact_summary(n_runs)
-        if is_finite:
+        if sheet is summary:
             energy, rates = max(energy, summary.contact_energy), max_rates(rates, summary.self_contact)
         omega2, damping = contact.bounds_at_energy(energy)
         return leapfrog_limit(sheet.omega2 + omega2 + rates[0], sheet.damping + damping + rates[1])

@@ -9,7 +9,7 @@ block rows as the band is wide remains. The size alone determines the parts; one
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
@@ -33,22 +33,15 @@ def _second_thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, thread_name_prefix="band")
 
 
-class _InlineExecutor(Executor):
-    """Executor that runs a task in the calling thread, for tasks shorter than waking a thread."""
+def _start(is_worth_a_thread: bool, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+    """Start a call for a matrix's lower half, in the second thread if that pays and is free; return how to wait for it.
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Run a task at once; return its finished future."""
-        future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
-
-
-_INLINE_EXECUTOR = _InlineExecutor()
-
-
-def _lower_executor(is_worth_a_thread: bool) -> Executor:
-    """Return the executor for a matrix's lower half: the second thread if it pays and is free, else the caller's."""
-    return _second_thread() if is_worth_a_thread and available_threads() > 1 else _INLINE_EXECUTOR
+    A call that is shorter than waking a thread is over when this function returns.
+    """
+    if is_worth_a_thread and available_threads() > 1:
+        return _second_thread().submit(function, *arguments).result
+    result = function(*arguments)
+    return lambda: result
 
 
 class BandMatrix:
@@ -109,9 +102,9 @@ class BandMatrix:
         if not self._is_prepared:
             self._prepare()
         if self._shared:
-            lower = _lower_executor(self._factors_in_parallel).submit(self._eliminate, 1, blocks, masses, diagonal)
+            wait = _start(self._factors_in_parallel, self._eliminate, 1, blocks, masses, diagonal)
             is_positive = self._eliminate(0, blocks, masses, diagonal)
-            is_positive = lower.result() and is_positive
+            is_positive = wait() and is_positive
             band.join(*self._rows, self._upper, self._lower, self._shared_rows)
             is_positive = is_positive and band.factor(self._shared_rows, self._shared)
         else:
@@ -137,17 +130,16 @@ class BandMatrix:
         if self._shared:
             lower = y[self._upper :][::-1].copy()
             lower[self._lower :] = 0.0
-            executor = _lower_executor(self._solves_in_parallel)
-            lower_task = executor.submit(band.forward, self._rows[1], self._lower, lower)
+            wait = _start(self._solves_in_parallel, band.forward, self._rows[1], self._lower, lower)
             band.forward(self._rows[0], self._upper, upper)
-            lower_task.result()
+            wait()
             middle = upper[self._upper :] + lower[self._lower :][::-1]
             band.forward(self._shared_rows, self._shared, middle)
             band.backward(self._shared_rows, self._shared, middle)
             upper[self._upper :], lower[self._lower :] = middle, middle[::-1]
-            lower_task = executor.submit(band.backward, self._rows[1], self._lower, lower)
+            wait = _start(self._solves_in_parallel, band.backward, self._rows[1], self._lower, lower)
             band.backward(self._rows[0], self._upper, upper)
-            lower_task.result()
+            wait()
             y[self._upper :] = lower[::-1]
         else:
             band.forward(self._rows[0], self._upper, upper)

@@ -95,19 +95,8 @@ class Integrator(ABC):
         """
 
 
-def check_step(step: float | None) -> float | None:
-    """Check a fixed step [s], or None for none, and return it unchanged.
-
-    Raises:
-        ValueError: if it is not finite and above 0.
-    """
-    if step is not None and not (math.isfinite(step) and step > 0.0):
-        raise ValueError(f"step is {step} s; it must be finite and above 0")
-    return step
-
-
 def check_settings(
-    step: float | None, tolerance: float | None, work: float
+    step: float | None, tolerance: float | None = None, work: float = 0.0
 ) -> tuple[float | None, float | None, float]:
     """Check fixed step [s], tolerance [m] and work limit (multiple of real time), and return them unchanged.
 
@@ -118,7 +107,8 @@ def check_settings(
         raise ValueError(
             f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
         )
-    check_step(step)
+    if step is not None and not (math.isfinite(step) and step > 0.0):
+        raise ValueError(f"step is {step} s; it must be finite and above 0")
     if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
         raise ValueError(f"tolerance is {tolerance} m; it must be finite and above 0")
     if not (math.isfinite(work) and work >= 0.0):

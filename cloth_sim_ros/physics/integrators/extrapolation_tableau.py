@@ -85,8 +85,6 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
     """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] among several pairs."""
-    if rates.count(rates[0]) == len(rates):
-        return rates[0]
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
@@ -144,17 +142,17 @@ class ExtrapolationTableau:
         """Return positions [m] and velocities [m/s] at the end of n_runs combined runs, (3, n) each."""
         if n_runs not in self._combined:
             self._make_runs(n_runs)
-        if n_runs not in self._combined:
-            x, v = combine([run.end_state for run in self._runs[:n_runs]], weights(self.counts[:n_runs]))
-            self._combined[n_runs] = x, v
+            if n_runs not in self._combined:
+                x, v = combine([run.end_state for run in self._runs[:n_runs]], weights(self.counts[:n_runs]))
+                self._combined[n_runs] = x, v
         return self._combined[n_runs]
 
     def summary(self, n_runs: int) -> RunSummary:
         """Return the summary of n_runs combined runs: activity, spectral bounds and contact at their end."""
         if n_runs not in self._summaries:
             self._make_runs(n_runs)
-        if n_runs not in self._summaries:
-            self._summaries[n_runs] = self._summarize(n_runs)
+            if n_runs not in self._summaries:
+                self._summaries[n_runs] = self._summarize(n_runs)
         return self._summaries[n_runs]
 
     def _summarize(self, n_runs: int) -> RunSummary:
@@ -207,8 +205,7 @@ class ExtrapolationTableau:
             distance, velocity_change = self.change(n_runs)
             displacement = 0.0
             if distance < math.inf:
-                (x, v), (_, w) = self.combine(n_runs + 1), self.combine(n_runs)
-                end = self.t + self.duration
+                (x, v), (_, w), end = self.combine(n_runs + 1), self.combine(n_runs), self.t + self.duration
                 displacement, evaluations = self._plan.velocity_displacement(end, x, v - w, VELOCITY_ERROR_TIME)
                 self.evaluations += evaluations
             if velocity_change:

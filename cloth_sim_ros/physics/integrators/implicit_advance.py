@@ -5,27 +5,33 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
-from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.accounting.implicit_steps import ImplicitStep, accumulate_step, external_work
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.contact.thickness import relative_growth
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, ToleranceMissedError, UnstableError
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import ParticleBlocks, iteration_cost, stage_matrix
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities, step_displacement
+from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import THICKNESS_KEY, StateMemory
+from cloth_sim_ros.physics.state.controller_state import THICKNESS_KEY
 from cloth_sim_ros.physics.state.controller_state import ImplicitState as Memory
 from cloth_sim_ros.physics.state.state import State
 
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.integrators.implicit import Implicit
+
 #: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
 GAMMA = 1.0 - math.sqrt(0.5)
+#: The error constant of the method: coefficient of z^3 in its stability function minus exp(z). With g = `GAMMA`,
+#: R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
+_ERROR_CONSTANT = abs(GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA)) - 1.0 / 6.0)
 #: Safety margin of the predicted next correction, because the prediction has the right order of magnitude only.
 _PREDICTION_MARGIN = 0.1
 #: Fraction of a step's error budget at which its iteration ends.
@@ -57,35 +63,12 @@ _MAX_ENERGY_GAIN = 1e-4
 _ROUNDING = 1e-12
 
 
-class ImplicitSettings(Protocol):
-    """Protocol of the settings of the implicit method: name, fixed step [s], tolerance [m], work limit."""
-
-    name: str
-    step: float | None
-    tolerance: float | None
-    work: float
-
-
-@attrs.frozen
-class ImplicitStep:
-    """Result of an implicit step: end positions [m], velocities [m/s], last acceleration [m/s^2], error [m]."""
-
-    x: Array
-    v: Array
-    a: Array
-    error: float
-    #: Times [s], weights [s], positions and velocities of the points at which its forces act.
-    stages: tuple[tuple[float, float, Array, Array], ...]
-    #: True if the contact force of the last point acts during the whole step, while obstacles move and contacts grow.
-    acts_at_end: bool = False
-
-
 class ImplicitAdvance:
     """Computation of one advance by the implicit method: steps, error budget, work limit and counters."""
 
     def __init__(
         self,
-        integrator: ImplicitSettings,
+        integrator: Implicit,
         plan: Plan,
         state: State,
         t: float,
@@ -250,7 +233,7 @@ class ImplicitAdvance:
             second = None if first is None else self._take_step(t + half_step, half_step, first[1])
             return None if first is None or second is None else (first[0] + second[0], second[1])
         if self._accumulator is not None:
-            _accumulate_step(self._accumulator, self._plan, t, h, step, state.memory)
+            accumulate_step(self._accumulator, self._plan, t, h, step, state.memory)
         state.x, state.v = step.x, step.v
         work = self._plan.update_after_step(t + h, h, state)
         if self._accumulator is not None:
@@ -272,7 +255,7 @@ class ImplicitAdvance:
         if second is None:
             return None
         k2x, k2v = second
-        error = error_constant() * h * h / (1.0 - GAMMA) * _max_length(k1v - k2v)
+        error = _ERROR_CONSTANT * h * h / (1.0 - GAMMA) * _max_length(k1v - k2v)
         middle, end, end_v = x + d * k1x, base_x + d * k2x, base_v + d * k2v
         if self._prescribed.size:
             self._plan.prescribe(t + d, middle, k1x)
@@ -340,7 +323,7 @@ class ImplicitAdvance:
         energy_after = self._plan.energy(t + h, step.x, step.v, state.memory)
         v = step.v * self._is_free
         kinetic = self._plan.energies(t + h, step.x, v, state.memory)[0]
-        work = _external_work(self._plan, t, h, step, state.memory)
+        work = external_work(self._plan, t, h, step, state.memory)
         return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic, work
 
     def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
@@ -467,79 +450,3 @@ def _max_length(vectors: Array) -> float:
     x, y, z = vectors
     square = float((x * x + y * y + z * z).max())
     return math.sqrt(square) if math.isfinite(square) else math.inf
-
-
-def error_constant() -> float:
-    """Return the error constant of the method: coefficient of z^3 in its stability function minus exp(z)."""
-    # R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
-    third_coefficient = GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA))
-    return abs(third_coefficient - 1.0 / 6.0)
-
-
-def _obstacle_impulses(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> Array:
-    """Return impulse and work of each obstacle over a step whose contact force is that at its end.
-
-    The impulse of the implicit Euler method is h f, and the work is f'w with the displacement w of the obstacle. The
-    contact energy is convex; it grows by at most f'(w - h u), and the kinetic energy by at most h f'u. Therefore the
-    step creates no energy for any w. Forces inside the step would belong to gaps that no step has resolved; they are
-    unbounded.
-
-    Args:
-        plan: equations of motion.
-        t: time at the start of the step [s].
-        h: its length [s].
-        step: the step.
-        memory: memory of the state at its start.
-
-    Returns:
-        Rows as of `ContactBinding.wrench_rates`.
-    """
-    contact = plan.contact
-    assert contact is not None
-    end_time, _, x, v = step.stages[-1]
-    rows = contact.wrench_rates(end_time, x, v, memory, h)
-    for row, path in zip(rows, contact.force.paths, strict=True):
-        if row.any():
-            displacement = step_displacement(path, t, h)
-            row[6] = -ordered_sum([a * b / h for a, b in zip(row[:6].tolist(), displacement, strict=True)])
-    return rows
-
-
-def _recovery_work(plan: Plan, h: float, step: ImplicitStep, memory: StateMemory) -> float:
-    """Return the work [J] of contacts that regain their thickness in a step whose contact force is that at its end.
-
-    It is the power at the end of the step times its length. The contact energy d_i^2 b(g / d_i) is convex in gap and
-    thickness together, because 2 b b'' > b'^2. Therefore this is an upper bound of the added energy, see
-    `_obstacle_impulses`.
-    """
-    end_time, _, x, v = step.stages[-1]
-    return 0.0 if plan.contact is None else h * plan.contact.recovery_power(end_time, x, v, memory)
-
-
-def _external_work(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> float:
-    """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]."""
-    total = 0.0
-    for stage_time, weight, x, v in step.stages:
-        total += weight * plan.external_power(stage_time, x, v, memory)
-        if plan.gripper_count:
-            rates = plan.grip_wrench_rates(stage_time, x, v, weight, memory)
-            total = ordered_sum(rates[:, 6].tolist(), total)
-        if plan.contact is not None and not step.acts_at_end:
-            total = ordered_sum(plan.contact.wrench_rates(stage_time, x, v, memory, weight)[:, 6].tolist(), total)
-            total += weight * plan.contact.recovery_power(stage_time, x, v, memory)
-    if not step.acts_at_end:
-        return total
-    total = ordered_sum(_obstacle_impulses(plan, t, h, step, memory)[:, 6].tolist(), total)
-    return total + _recovery_work(plan, h, step, memory)
-
-
-def _accumulate_step(
-    accumulator: WorkAccumulator, plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory
-) -> None:
-    """Add the wrenches and work of a step from t to t + h [s] to an accumulator."""
-    for stage_time, weight, x, v in step.stages:
-        accumulate(accumulator, plan, stage_time, x, v, weight, memory, record_obstacles=not step.acts_at_end)
-    if step.acts_at_end and accumulator.obstacle_count:
-        accumulator.add_obstacle_work(_obstacle_impulses(plan, t, h, step, memory))
-    if step.acts_at_end and accumulator.record_power:
-        accumulator.add_recovery_work(_recovery_work(plan, h, step, memory))

@@ -96,13 +96,8 @@ class StageMatrix:
         blocks = d * d * stiffness + d * damping
         if self._other_forces.carries_air:
             blocks += self._other_forces.mass_blocks(x)
-        self._matrix.update(self._blocks(x, d * d, d), masses, blocks)
-
-    def _blocks(self, x: Array, stiffness: float, damping: float) -> list[Array]:
-        return [
-            self._springs.pair_blocks(list_index, len(pairs), x, stiffness, damping)
-            for list_index, pairs in enumerate(self._pairs)
-        ]
+        pair_blocks = [self._springs.pair_blocks(k, len(pairs), x, d * d, d) for k, pairs in enumerate(self._pairs)]
+        self._matrix.update(pair_blocks, masses, blocks)
 
     def solve(self, right: Array) -> None:
         """Replace the right-hand side (3, n) by the solution; zero for anchored particles."""

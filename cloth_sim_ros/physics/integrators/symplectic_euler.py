@@ -9,7 +9,7 @@ import numpy as np
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators import base
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, UnstableError, check_step
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, UnstableError, check_settings
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit, steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
@@ -36,7 +36,7 @@ class SymplecticEuler(Integrator):
     suits = "a baseline to compare with; any damping within its limit"
 
     def __init__(self, step: float | None = None) -> None:
-        self.step = check_step(step)
+        self.step, _, _ = check_settings(step)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return leapfrog_limit(omega2, damping_rate)
