@@ -68,16 +68,16 @@ def run(speeds: list[int]) -> list[list[str]]:
 
 
 def test_timed_files_run_in_one_of_three_workers() -> None:
-    timed, *others = run([2, 2, 2])
+    timed, *untimed = run([2, 2, 2])
     assert timed[:3] == FILES[5:8]
-    assert not has_timed(others)
-    assert others[0][0] == FILES[0]
+    assert not has_timed(untimed)
+    assert untimed[0][0] == FILES[0]
 
 
 @pytest.mark.parametrize("speeds", [[1, 4, 4], [4, 1, 1]], ids=["timed tests slow", "other tests slow"])
 def test_free_workers_take_files_of_the_other_kind(speeds: list[int]) -> None:
-    timed, *others = run(speeds)
-    assert has_timed(others) == (speeds[0] == 1)
+    timed, *untimed = run(speeds)
+    assert has_timed(untimed) == (speeds[0] == 1)
     assert all(map(is_timed, timed)) == (speeds[0] == 1)
 
 

@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.state.state import State
 
 print(engine_name())
 table = {"obstacles": [Obstacle(name="table", shape="plane")], "paths": [still((0.0, 0.0, -3e-3))]}
-for listed, integrator, frames in ((False, "auto", 8), (True, "auto", 8), (False, "implicit", 3)):
+for listed, integrator, frames in ((False, "auto", 8), (True, "auto", 8), (False, "implicit", 2)):
     model, places, velocities = folded(12, listed=listed, **table)
     plan, _, method = drop(model, places, integrator=integrator, tolerance=1e-4)
     state, met = State(places, velocities), 0

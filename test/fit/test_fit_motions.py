@@ -98,7 +98,9 @@ def test_recording_of_another_cloth_is_named(recordings: list[Recording]) -> Non
 
 def test_few_clean_motions_give_drag_without_interval() -> None:
     scene = scene_of(wind__normal_drag=0.45)
-    fit = fit_real(record_motions(2, noise=1e-5), scene, ["normal_drag"], grasped=NAMED, **QUICK)
+    # Without noise a cloth that still swings a little at the start would decide.
+    settled = {**QUICK, "settle_time": 3.0}
+    fit = fit_real(record_motions(2, noise=1e-5), scene, ["normal_drag"], grasped=NAMED, **settled)
     assert fit.values["wind.normal_drag"] == pytest.approx(TRUTH["wind.normal_drag"], rel=1e-3)
     assert not fit.estimates[0].has_interval
     assert not fit.all_identified

@@ -215,8 +215,8 @@ def test_every_integrator_closes_jaws_until_their_force(integrator, tolerance):
     plan, state, steps, force = hanging(make_jaw(0.2), integrator=integrator, tolerance=tolerance)
     close(force)
     state.memory[JAWS_KEY] = np.array([[1.2 * THICKNESS, -0.05]])
-    advance(plan, state, steps, 12)
-    loads = plan.contact.wrench_rates(12 * FRAME, state.x, state.v, memory=state.memory)
+    advance(plan, state, steps, 6)
+    loads = plan.contact.wrench_rates(6 * FRAME, state.x, state.v, memory=state.memory)
     assert loads[:, 1] == pytest.approx([0.2, -0.2], rel=1e-3)
 
 

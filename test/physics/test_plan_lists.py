@@ -74,7 +74,7 @@ for values in json.loads(sys.argv[1]):
 BUILT = [name for name in libraries() if (Path(engine.__path__[0]) / f"_{name}.so").exists()]
 #: Scenes by their names and changed values.
 MOVED = {
-    "accurate": ("default", {"tolerance": 1e-5}),
+    "accurate": ("default", {"tolerance": 1e-5, "cloth.resolution": [17, 18]}),
     "coarse": ("default", {"tolerance": 1e-2}),
     "grid, wind and air": ("grid, wind and air", {"cloth.resolution": [7, 9]}),
     "grid, altitude, undamped": ("grid, altitude, undamped", {}),

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,6 +28,18 @@ ENVIRONMENT = {name: text for name, text in os.environ.items() if name != "LD_PR
 def test_files() -> list[str]:
     """Names of the files with tests, without their ending."""
     return sorted(path.stem for path in SOURCES.glob("*.cpp") if path.stem != "main")
+
+
+def unit_text() -> str:
+    """Return the unit: headers of the engine, optimized as in a library, then the tests, which are not.
+
+    Optimizing the tests' own code takes half of the compile time. Other compilers than g++ optimize it all.
+    """
+    lines = {line for path in SOURCES.glob("*.?pp") for line in path.read_text().splitlines()}
+    headers = sorted(line for line in lines if re.match(r'#include "\w+/', line))
+    unoptimized = ["#if defined(__GNUC__) && !defined(__clang__)", '#pragma GCC optimize("O0")', "#endif"]
+    tests = [f'#include "{name}.cpp"' for name in test_files()]
+    return "\n".join([*headers, *unoptimized, *tests, ""])
 
 
 def build_program(name: str, *, sanitize: bool = False) -> Path:
@@ -52,7 +65,7 @@ def build_program(name: str, *, sanitize: bool = False) -> Path:
     with build.lock_folder(FOLDER):
         _compile([*common, "-O0", str(SOURCES / "main.cpp")], version, objects[0])
     with build.lock_folder(folder):
-        unit.write_text("".join(f'#include "{name}.cpp"\n' for name in test_files()))
+        unit.write_text(unit_text())
         _compile([*common, *checked, str(unit)], version, objects[1])
         if not program.exists() or program.stat().st_mtime_ns < max(path.stat().st_mtime_ns for path in objects):
             _run([*common, *map(str, objects), "-o", str(program)])

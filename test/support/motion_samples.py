@@ -16,8 +16,8 @@ from support.fit_samples import SIZE, cloth, hung
 #: Particles along an edge, rate of the frames [Hz], frames per cloud, and duration of a motion [s].
 RESOLUTION, RATE, STRIDE, DURATION = 5, 30.0, 2, 1.1
 TRUTH = {
-    "material.stretch_modulus": 300.0,
-    "material.shear_modulus": 60.0,
+    "material.stretch_modulus": 100.0,
+    "material.shear_modulus": 20.0,
     "material.bending_modulus": 3e-4,
     "material.damping": 0.1,
     "wind.normal_drag": 0.4,

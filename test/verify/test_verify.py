@@ -97,7 +97,7 @@ def test_random_contact_sessions_rerun_with_any_threads(tmp_path: Path, seed: in
 
 def test_obstacles_changed_before_the_first_markers_verify(tmp_path: Path) -> None:
     # The first frame removes an obstacle: no marker of it was sent, and none is deleted.
-    verdict = verify(make_random_session(tmp_path, 26, frames=30, contact=True))
+    verdict = verify(make_random_session(tmp_path, 26, frames=8, contact=True))
     assert verdict.same, verdict.first_reason
 
 

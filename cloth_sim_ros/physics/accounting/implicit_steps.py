@@ -72,7 +72,7 @@ def external_work(plan: Plan, t: float, h: float, step: ImplicitStep, memory: St
     """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]."""
     total = 0.0
     for stage_time, weight, x, v in step.stages:
-        total += weight * plan.supply(stage_time, x, v, memory)
+        total += weight * plan.external_power(stage_time, x, v, memory)
         if plan.gripper_count:
             rates = plan.grip_wrench_rates(stage_time, x, v, weight, memory)
             total = ordered_sum(rates[:, 6].tolist(), total)
