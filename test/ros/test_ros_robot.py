@@ -23,7 +23,7 @@ from support.clocked_cloth import SECOND, ClockedCloth
 from support.robots import ARM, ARM_JOINTS, robot_scene
 from support.ros_client import Client
 
-from cloth_sim_ros.ros.io.robot_start import link_poses
+from cloth_sim_ros.ros.io.robot_start import link_poses, mount_of
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.reader import SessionReader
@@ -288,7 +288,8 @@ def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> list[An
 def test_mount_may_be_the_frame_of_the_root_link(
     client: Client, description: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    listening = stub_tf2(monkeypatch, {"base": 1.0})
+    x_of = {"base": 1.0}
+    listening = stub_tf2(monkeypatch, x_of)
     values = {"robot.description_file": description, "robot.frame": "base", "robot.position": [0.1, 0.0, 0.5]}
     with arm(client, (0.1, 0.2, 0.3, 0.01), {**values, "gripper.frame": "hand"}) as cloth:
         cloth.tick(2)
@@ -297,6 +298,14 @@ def test_mount_may_be_the_frame_of_the_root_link(
         assert np.abs(cloth.position("gripper") - links.link_pose("hand", positions)[:3]).max() < 1e-15
         # The buffer of the start has the transforms already.
         assert len(listening) == 1
+        # The mount moves, but no joint.
+        x_of["base"] = 1.2
+        cloth.tick(2)
+        expected = links.link_pose("hand", positions)[:3] + [0.2, 0.0, 0.0]
+        assert np.abs(cloth.position("gripper") - expected).max() < 1e-12
+        cloth.node.stepper.queue.put(Reset())
+        cloth.tick(2)
+        assert np.abs(cloth.position("gripper") - expected).max() < 1e-12
 
 
 def test_pads_stop_at_a_new_thickness(client: Client, description: str) -> None:
@@ -361,6 +370,8 @@ def test_poses_of_links_and_mount_come_from_tf() -> None:
     by_tf = link_poses(links, positions, frames, attrs.evolve(scene.robot, source="tf"))
     upper_arm = by_tf[links.names.index("upper_arm")]
     assert np.abs(upper_arm - [1.0, 0.0, 0.15, 0.0, 0.0, half, half]).max() < 1e-15
+    frames.newest = lambda frame: ((1.0, 0.0, 0.0), (0.0, 0.0, half, half), 7)
+    assert mount_of(frames, scene.robot)[1] == 7
 
 
 def test_reset_leaves_links_where_the_robot_is(client: Client, description: str) -> None:

@@ -128,7 +128,8 @@ class Inputs:
         return [*of_links, *self.tf_follower.events(stamp), *([] if twists is None else twists.events(stamp))]
 
     def observe(self, frame: Frame) -> None:
-        """Let the robot's follower examine a frame, because it may have to repeat the command of the links."""
+        """Let the followers of TF frames and of a robot examine a frame, because they may have to repeat a command."""
+        self.tf_follower.observe(frame)
         if self._robot is not None:
             self._robot.observe(frame)
 

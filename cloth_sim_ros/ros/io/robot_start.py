@@ -230,19 +230,21 @@ def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, se
         FrameError: if TF lacks a frame.
     """
     if settings.source == TF:
-        return links.poses_from_links({link: _transform(frames, link) for link in dict.fromkeys(links.links)})
-    return links.poses(positions, mount_of(frames, settings))
+        return links.poses_from_links({link: _transform(frames, link)[0] for link in dict.fromkeys(links.links)})
+    return links.poses(positions, mount_of(frames, settings)[0])
 
 
-def mount_of(frames: FrameTransformer, settings: RobotParameters) -> Array | None:
-    """Return the transform of `robot.frame` in the cloth's frame, shape (4, 4); None if it is not set.
+def mount_of(frames: FrameTransformer, settings: RobotParameters) -> tuple[Array | None, int]:
+    """Return the transform of `robot.frame` in the cloth's frame, shape (4, 4), and its stamp [ns].
+
+    The transform is None, and the stamp 0, if `robot.frame` is not set.
 
     Raises:
         FrameError: if TF lacks it.
     """
-    return _transform(frames, settings.frame) if settings.frame else None
+    return _transform(frames, settings.frame) if settings.frame else (None, 0)
 
 
-def _transform(frames: FrameTransformer, frame: str) -> Array:
-    position, orientation, _ = frames.newest(frame)
-    return transform_of(position, orientation)
+def _transform(frames: FrameTransformer, frame: str) -> tuple[Array, int]:
+    position, orientation, stamp = frames.newest(frame)
+    return transform_of(position, orientation), stamp
