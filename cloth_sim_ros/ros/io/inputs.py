@@ -138,6 +138,16 @@ class Inputs:
         self._node.get_logger().error(f"parameters are set back: {reason}")
         self.parameters.return_to(self._simulation.scene)
 
+    def limit_times(self, now: int) -> None:
+        """Limit remembered times to the present ROS time [ns], because wall time was set back.
+
+        Timeouts count from there. Targets with later stamps are dropped: they would come after newer ones.
+        """
+        self.commands.limit_times(now)
+        self._queue.drop_later(now)
+        if self._robot is not None:
+            self._robot.limit_times(now)
+
     def restart_time(self) -> None:
         """Forget stamps and dynamic transforms because the clock was set back: any stamp is accepted next."""
         self.commands.reset_stamps()

@@ -151,6 +151,11 @@ class RobotFollower:
         pose = self._links.link_pose(name, self._states.positions, mount).tolist()
         return tuple(pose[:3]), tuple(pose[3:]), max(self._states.stamp, stamp)
 
+    def limit_times(self, now: int) -> None:
+        """Limit remembered times to the present ROS time [ns], because wall time was set back."""
+        self._states.limit_times(now)
+        self._last_state = min(self._last_state, now)
+
     def restart_time(self) -> None:
         """Forget stamps of joint states because the clock was set back: any stamp is accepted next."""
         self._states.restart_time()
