@@ -107,6 +107,9 @@ def test_transforms_are_cleared_when_clock_goes_back(monkeypatch: pytest.MonkeyP
     frames._buffer.clear = lambda: cleared.append(True)
     frames.clear()
     assert cleared == [True]
+    for now in (NOW, NOW, NOW + 1, NOW - SECOND, NOW):
+        frames.advance_time(now)
+    assert cleared == [True, True]
 
 
 def make_follower(last_target_time: int | None, **values: Any) -> tuple[Simulation, TfFollower, LineLog]:

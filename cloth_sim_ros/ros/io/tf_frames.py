@@ -44,6 +44,8 @@ class FrameTransformer:
         self._buffer: Any = None
         self._listener: Any = None
         self._transform_stamp = 0
+        #: Newest time of `advance_time` [ns].
+        self._time = 0
         #: Returns the pose and stamp of a robot's link by name, without tf2; None for other frames.
         self.link_pose: Callable[[str], tuple[tuple[float, ...], tuple[float, ...], int] | None] = lambda _name: None
         #: True if tf2 could not be imported. A second import would cost time in each frame of a following gripper.
@@ -99,6 +101,12 @@ class FrameTransformer:
             return pose
         translation, rotation = self._lookup(frame_id, 0)
         return tuple(translation.tolist()), tuple(rotation.tolist()), self._transform_stamp
+
+    def advance_time(self, now: int) -> None:
+        """Clear the dynamic transforms if a ROS time [ns] is before that of the previous call."""
+        if now < self._time:
+            self.clear()
+        self._time = now
 
     def clear(self) -> None:
         """Clear the dynamic transforms, because the clock was set back; static ones stay."""
