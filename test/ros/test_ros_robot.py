@@ -129,6 +129,20 @@ def test_description_comes_from_its_latched_topic(client: Client, capfd: pytest.
         assert "1 collision shapes of 1 links are obstacles" in capfd.readouterr().err
 
 
+def test_start_takes_latched_joint_states_by_override(client: Client, description: str) -> None:
+    client.node.create_publisher(JointState, "/joint_states", LATCHED).publish(state((0.1, 0.2, 0.3, 0.01)))
+    prefix = "qos_overrides./joint_states.subscription"
+    overrides = {f"{prefix}.durability": "transient_local", f"{prefix}.reliability": "reliable"}
+    ended = threading.Event()
+    timer = threading.Timer(20.0, ended.set)
+    timer.start()
+    values = {**AT, "robot.description_file": description, **overrides}
+    with ClockedCloth(client, values, signal_name=lambda: "TIMEOUT" if ended.is_set() else "") as cloth:
+        timer.cancel()
+        expected = robot_scene(ARM, AT)[1].poses(np.array([0.1, 0.2, 0.3, 0.01]))
+        assert np.abs(poses(cloth) - expected).max() < 1e-15
+
+
 def test_invalid_bytes_and_new_description_are_reported(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     description = client.node.create_publisher(String, "/robot_description", LATCHED)
     description.publish(String(data=ARM))

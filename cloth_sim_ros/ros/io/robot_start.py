@@ -18,6 +18,8 @@ from std_msgs.msg import String
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.ros.io.joint_states import JointStates
+from cloth_sim_ros.ros.io.output import overridden_profile
+from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.io.stamps import to_ros_time
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.process.stopping import StopRequestedError
@@ -129,8 +131,11 @@ class RobotStart:
         def receive(data: bytes) -> None:
             self._receive(self._read(data, JointState, topic))
 
+        profile = overridden_profile(
+            self._node, settings.joint_states_topic, JOINT_STATES_QOS, endpoint_kind=SUBSCRIPTION
+        )
         subscription = self._node.create_subscription(
-            JointState, settings.joint_states_topic, receive, JOINT_STATES_QOS, raw=True
+            JointState, settings.joint_states_topic, receive, profile, raw=True
         )
         first = 0.0
 
