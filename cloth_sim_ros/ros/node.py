@@ -224,7 +224,10 @@ class ClothNode:
         with self._lock, ignore_errors_after_shutdown(self.node):
             # An aborted frame still works on the cloth.
             if not self.frame_aborted:
-                self.failure.run(lambda: self._frame(tick), self.timing.stamps(tick)[0])
+                stamp, last_command = self.timing.stamps(tick)
+                if tick.is_set_back:
+                    self.inputs.limit_times(last_command)
+                self.failure.run(lambda: self._frame(tick), stamp)
 
     def _frame(self, tick: FrameTick) -> None:
         """Compute one frame with the waiting events, publish it, answer the events and report it."""

@@ -46,6 +46,41 @@ def test_newest_stamp_counts_and_future_ones_wait() -> None:
     assert states.apply(7)
 
 
+def test_states_count_after_wall_time_is_set_back() -> None:
+    states = JointStates(["a"])
+    states.add(["a"], [1.0], NOW, NOW)
+    states.apply(NOW)
+    states.add(["a"], [9.0], NOW + SECOND // 2, NOW)
+    now = NOW - 60 * SECOND
+    states.limit_times(now)
+    assert states.stamp == now
+    for k in range(3):
+        now += SECOND // 10
+        states.add(["a"], [2.0 + k], now, now)
+        assert states.apply(now)
+        assert states.positions.tolist() == [2.0 + k]
+    # The state that was stamped ahead does not come a minute later.
+    assert not states.apply(NOW + SECOND)
+
+
+def test_joint_falls_silent_after_wall_time_is_set_back() -> None:
+    states = JointStates(["a"])
+    states.add(["a"], [1.0], NOW, NOW)
+    states.limit_times(NOW - 60 * SECOND)
+    assert states.silent_since(NOW - 60 * SECOND) == []
+    assert states.silent_since(NOW - 59 * SECOND) == ["a"]
+
+
+def test_states_count_if_the_clock_restarts_at_the_start() -> None:
+    states = JointStates(["a", "b"])
+    states.add(["a"], [1.0], NOW, NOW)
+    # The start applies all states at once.
+    states.apply(2**63 - 1)
+    states.add(["a", "b"], [2.0, 3.0], SECOND, SECOND)
+    states.apply(2**63 - 1)
+    assert states.positions.tolist() == [2.0, 3.0]
+
+
 def test_late_state_replaces_no_newer_position() -> None:
     states = JointStates(["a", "b"])
     states.add(["a"], [2.0], NOW, NOW)

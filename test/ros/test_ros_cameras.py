@@ -305,6 +305,12 @@ class StubTransformer:
         self.pose: tuple[tuple[float, ...], tuple[float, ...]] | None = None
         #: Number of calls before the transform comes, and of calls for which an older one was enough.
         self.n_missing = self.n_older = 0
+        #: Times of the frames [ns].
+        self.times: list[int] = []
+
+    def advance_time(self, now: int) -> None:
+        """Store a time."""
+        self.times.append(now)
 
     def to_cloth(
         self, frame: str, *_: Any, max_age: int = MAX_TRANSFORM_AGE
@@ -367,6 +373,7 @@ def test_camera_follows_its_frame_when_it_is_known(client: Client) -> None:
     frames.pose = None
     output.send(frame, bodies)
     assert len(answers) == 3, "a frame that is lost again is reported"
+    assert frames.times == 7 * [SECOND], "TF is cleared if time was set back"
 
 
 def test_quality_of_service_may_be_overridden(client: Client) -> None:

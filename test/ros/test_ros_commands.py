@@ -58,6 +58,16 @@ def test_queue_returns_due_events() -> None:
     assert queue.pop_ready(99) == []
 
 
+def test_targets_due_after_a_set_back_time_are_dropped() -> None:
+    queue = EventQueue()
+    early, late = Target("g", (1.0, 0, 0)), Target("g", (2.0, 0, 0))
+    queue.put(early, stamp=10)
+    queue.put(late, stamp=90)
+    queue.put(Grasp("g", True))
+    queue.drop_later(20)
+    assert [entry.event for entry in queue.pop_ready(99)] == [Grasp("g", True), early]
+
+
 def test_queue_is_bounded() -> None:
     queue = EventQueue()
     for index in range(MAX_QUEUED_EVENTS + 10):

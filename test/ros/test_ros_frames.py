@@ -15,7 +15,7 @@ from support.line_log import LineLog
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer, TfFollower
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
-from cloth_sim_ros.simulation.events import Move
+from cloth_sim_ros.simulation.events import Move, Reset, SetParameters
 
 SECOND = 1_000_000_000
 NOW = 1000 * SECOND
@@ -107,6 +107,9 @@ def test_transforms_are_cleared_when_clock_goes_back(monkeypatch: pytest.MonkeyP
     frames._buffer.clear = lambda: cleared.append(True)
     frames.clear()
     assert cleared == [True]
+    for now in (NOW, NOW, NOW + 1, NOW - SECOND, NOW):
+        frames.advance_time(now)
+    assert cleared == [True, True]
 
 
 def make_follower(last_target_time: int | None, **values: Any) -> tuple[Simulation, TfFollower, LineLog]:
@@ -201,6 +204,41 @@ def test_an_obstacle_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     assert move.obstacle == "ball"
     assert move.position == pytest.approx((1.0, 0.0, 0.0))
     assert follower.events(NOW) == [], "the same transform is no news"
+
+
+def test_static_frames_are_followed_again_after_reset() -> None:
+    ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0]}
+    simulation, follower, _ = make_follower(None, gripper__frame="a", **ball, ball__frame="a")
+    # Static transforms, to which tf2 gives the stamp 0. The lookup is private.
+    x_of = {"a": 1.0, "b": 2.0}
+    follower._frames.newest = (  # type: ignore[method-assign]
+        lambda frame: ((x_of[frame], 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0)
+    )
+
+    def advance(*events: Any) -> list[str]:
+        targets = follower.events(NOW)
+        follower.observe(simulation.advance([*events, *targets]))
+        return [type(target).__name__ for target in targets]
+
+    assert advance() == ["Move", "Target"]
+    assert advance(Reset()) == []
+    assert not simulation.grippers.is_placed(0)
+    assert advance() == ["Move", "Target"]
+    assert simulation.grippers.poses()[0, 0] == 1.0
+    advance(SetParameters({"ball.frame": "b"}))
+    (move, _) = follower.events(NOW)
+    assert isinstance(move, Move)
+    assert move.position[0] == 2.0
+
+
+def test_repeated_target_does_not_restart_gripper_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch)
+    simulation, follower, _ = make_follower(None, gripper__frame="base", gripper__timeout=0.5)
+    simulation.advance(follower.events(NOW))
+    follower.observe(simulation.advance([Grasp("gripper", True), SetParameters({"air.drag": 0.5})]))
+    (repeated, release) = follower.events(NOW + SECOND)
+    assert isinstance(repeated, Target)
+    assert release == Grasp("gripper", False)
 
 
 def test_gripper_with_stale_frame_releases_after_timeout(monkeypatch: pytest.MonkeyPatch) -> None:

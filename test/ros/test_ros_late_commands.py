@@ -30,8 +30,10 @@ class Executor:
         self.node: Any = SimpleNamespace(
             create_guard_condition=self._guard,
             destroy_guard_condition=lambda _: None,
-            get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=time.time_ns())),
+            get_clock=lambda: SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=time.time_ns() - self.set_back)),
         )
+        #: Time by which the wall clock was set back [ns].
+        self.set_back = 0
 
     def settled(self) -> bool:
         """Return whether no command was received since the last call."""
@@ -129,3 +131,16 @@ def test_frames_wait_for_a_stopped_executor_once_at_most(
     count = len(threads)
     executor.spin(lambda: len(threads) >= count + 10)
     assert threads[count:] == [threading.get_ident()] * 10
+
+
+def test_frame_after_wall_time_is_set_back_says_so(start_pacer: Callable[..., None]) -> None:
+    executor = Executor()
+    ticks = list[FrameTick]()
+
+    def on_frame_tick(tick: FrameTick) -> None:
+        ticks.append(tick)
+        executor.set_back = 60_000_000_000 if len(ticks) >= 5 else 0
+
+    start_pacer(executor, on_frame_tick)
+    executor.spin(lambda: len(ticks) >= 10)
+    assert [tick.is_set_back for tick in ticks[:10]] == [False] * 5 + [True] + [False] * 4

@@ -23,7 +23,7 @@ from support.clocked_cloth import SECOND, ClockedCloth
 from support.robots import ARM, ARM_JOINTS, robot_scene
 from support.ros_client import Client
 
-from cloth_sim_ros.ros.io.robot_start import link_poses
+from cloth_sim_ros.ros.io.robot_start import link_poses, mount_of
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.reader import SessionReader
@@ -129,6 +129,20 @@ def test_description_comes_from_its_latched_topic(client: Client, capfd: pytest.
         assert "1 collision shapes of 1 links are obstacles" in capfd.readouterr().err
 
 
+def test_start_takes_latched_joint_states_by_override(client: Client, description: str) -> None:
+    client.node.create_publisher(JointState, "/joint_states", LATCHED).publish(state((0.1, 0.2, 0.3, 0.01)))
+    prefix = "qos_overrides./joint_states.subscription"
+    overrides = {f"{prefix}.durability": "transient_local", f"{prefix}.reliability": "reliable"}
+    ended = threading.Event()
+    timer = threading.Timer(20.0, ended.set)
+    timer.start()
+    values = {**AT, "robot.description_file": description, **overrides}
+    with ClockedCloth(client, values, signal_name=lambda: "TIMEOUT" if ended.is_set() else "") as cloth:
+        timer.cancel()
+        expected = robot_scene(ARM, AT)[1].poses(np.array([0.1, 0.2, 0.3, 0.01]))
+        assert np.abs(poses(cloth) - expected).max() < 1e-15
+
+
 def test_invalid_bytes_and_new_description_are_reported(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     description = client.node.create_publisher(String, "/robot_description", LATCHED)
     description.publish(String(data=ARM))
@@ -230,6 +244,9 @@ def test_gripper_follows_a_link_without_tf(client: Client, description: str) -> 
         cloth.tick()
         expected = robot_scene(ARM, AT)[1].link_pose("hand", np.array([0.2, 0.2, 0.3, 0.01]))
         assert np.abs(cloth.position("gripper") - expected[:3]).max() < 1e-15
+        # Wall time is set back. The stamp of the states is private.
+        cloth.node.inputs.limit_times(SECOND)
+        assert cloth.node.inputs._frames.newest("hand")[2] == SECOND
 
 
 def test_link_in_the_cloth_refuses_the_start(client: Client, description: str) -> None:
@@ -288,7 +305,8 @@ def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> list[An
 def test_mount_may_be_the_frame_of_the_root_link(
     client: Client, description: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    listening = stub_tf2(monkeypatch, {"base": 1.0})
+    x_of = {"base": 1.0}
+    listening = stub_tf2(monkeypatch, x_of)
     values = {"robot.description_file": description, "robot.frame": "base", "robot.position": [0.1, 0.0, 0.5]}
     with arm(client, (0.1, 0.2, 0.3, 0.01), {**values, "gripper.frame": "hand"}) as cloth:
         cloth.tick(2)
@@ -297,6 +315,14 @@ def test_mount_may_be_the_frame_of_the_root_link(
         assert np.abs(cloth.position("gripper") - links.link_pose("hand", positions)[:3]).max() < 1e-15
         # The buffer of the start has the transforms already.
         assert len(listening) == 1
+        # The mount moves, but no joint.
+        x_of["base"] = 1.2
+        cloth.tick(2)
+        expected = links.link_pose("hand", positions)[:3] + np.array([0.2, 0.0, 0.0])
+        assert np.abs(cloth.position("gripper") - expected).max() < 1e-12
+        cloth.node.stepper.queue.put(Reset())
+        cloth.tick(2)
+        assert np.abs(cloth.position("gripper") - expected).max() < 1e-12
 
 
 def test_pads_stop_at_a_new_thickness(client: Client, description: str) -> None:
@@ -361,6 +387,8 @@ def test_poses_of_links_and_mount_come_from_tf() -> None:
     by_tf = link_poses(links, positions, frames, attrs.evolve(scene.robot, source="tf"))
     upper_arm = by_tf[links.names.index("upper_arm")]
     assert np.abs(upper_arm - [1.0, 0.0, 0.15, 0.0, 0.0, half, half]).max() < 1e-15
+    frames.newest = lambda frame: ((1.0, 0.0, 0.0), (0.0, 0.0, half, half), 7)
+    assert mount_of(frames, scene.robot)[1] == 7
 
 
 def test_reset_leaves_links_where_the_robot_is(client: Client, description: str) -> None:

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped, WrenchStamped
-from support.clocked_cloth import ClockedCloth
+from support.clocked_cloth import SECOND, ClockedCloth
 from support.ros_client import Client
 
 from cloth_sim_ros.ros.io.sensor_wrenches import sensor_wrench
+from cloth_sim_ros.ros.timing.pacer import FrameTick
 from cloth_sim_ros.simulation.events import Pause
 from cloth_sim_ros.verify.run import verify
 
@@ -55,6 +56,27 @@ def test_velocity_moves_gripper_until_timeout(client: Client) -> None:
         np.testing.assert_allclose(stopped, np.array([0.3, 0.0, -0.6]) * LASTING * PERIOD, atol=0.6 * PERIOD)
         cloth.tick(5)
         assert (cloth.position("gripper") == stopped).all()
+
+
+def test_timeouts_count_after_wall_time_is_set_back(client: Client) -> None:
+    with ClockedCloth(client, {**TWIST, "gripper.timeout": 0.5}) as cloth:
+        at_origin(cloth)
+        cloth.grasp("gripper", True)
+        cloth.tick()
+        cloth.target("gripper", (0.0, 0.0, 9.0), stamp=cloth.now + SECOND // 2)
+        cloth.send("gripper/twist", twist((0.1, 0.0, 0.0)))
+        assert len(cloth.node.stepper.queue) == 1
+        # As the pacer of wall time does, which the clock of the test replaces.
+        start, positions = cloth.now - 10 * SECOND, []
+        for k in range(80):
+            stamp = start + round(k * PERIOD * SECOND)
+            # private: the frame of a tick
+            cloth.node._on_tick(FrameTick(stamp=stamp, lateness=0, skipped=0, now=stamp, is_set_back=k == 0))
+            positions.append(cloth.position("gripper")[0])
+        assert len(cloth.node.stepper.queue) == 0
+        assert positions[2] < positions[3] < positions[LASTING]
+        assert positions[LASTING + 3] == positions[-1]
+        assert not cloth.simulation.grippers.is_closed(0)
 
 
 def test_rotation_follows_angular_velocity(client: Client) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
@@ -27,15 +28,23 @@ class ClockedCloth:
         begin: first time of /clock [s].
         name: name of the node.
         parameters: by full name; the default is a small grid with fast frames.
+        signal_name: returns the name of a signal that ends the start; None for no such signal.
     """
 
     def __init__(
-        self, client: Client, parameters: dict[str, Any] | None = None, *, begin: int = 100, name: str = "cloth_sim"
+        self,
+        client: Client,
+        parameters: dict[str, Any] | None = None,
+        *,
+        begin: int = 100,
+        name: str = "cloth_sim",
+        signal_name: Callable[[], str] | None = None,
     ) -> None:
         values = {"cloth.resolution": [6, 7], "use_sim_time": True, **(parameters or {})}
         self.client = client
         self.node = ClothNode(
             name,
+            signal_name=signal_name,
             context=client.context,
             parameter_overrides=[Parameter(key, value=value) for key, value in values.items()],
         )

@@ -135,6 +135,7 @@ class CameraOutput:
         followed = self._parameters.frame
         if not followed:
             return frame.poses[self.name]
+        self._transformer.advance_time(frame.stamp)
         try:
             position, orientation = self._followed_pose(followed, frame.stamp)
         except FrameError as error:

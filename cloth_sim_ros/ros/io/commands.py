@@ -159,6 +159,12 @@ class CommandSubscriptions:
         self._busy_spins = 0
         return True
 
+    def limit_times(self, now: int) -> None:
+        """Limit the times of the newest targets to the present ROS time [ns], because wall time was set back."""
+        self._last_target_times = {name: min(time, now) for name, time in self._last_target_times.items()}
+        if self.twists is not None:
+            self.twists.limit_times(now)
+
     def reset_stamps(self) -> None:
         """Forget stamps and velocities because time was set back: commands of any stamp are accepted next."""
         for gate in self._gates.values():

@@ -128,7 +128,8 @@ class Inputs:
         return [*of_links, *self.tf_follower.events(stamp), *([] if twists is None else twists.events(stamp))]
 
     def observe(self, frame: Frame) -> None:
-        """Let the robot's follower examine a frame, because it may have to repeat the command of the links."""
+        """Let the followers of TF frames and of a robot examine a frame, because they may have to repeat a command."""
+        self.tf_follower.observe(frame)
         if self._robot is not None:
             self._robot.observe(frame)
 
@@ -136,6 +137,16 @@ class Inputs:
         """Set the ROS parameters back to the values in force, because accepted ones could not take effect."""
         self._node.get_logger().error(f"parameters are set back: {reason}")
         self.parameters.return_to(self._simulation.scene)
+
+    def limit_times(self, now: int) -> None:
+        """Limit remembered times to the present ROS time [ns], because wall time was set back.
+
+        Timeouts count from there. Targets with later stamps are dropped: they would come after newer ones.
+        """
+        self.commands.limit_times(now)
+        self._queue.drop_later(now)
+        if self._robot is not None:
+            self._robot.limit_times(now)
 
     def restart_time(self) -> None:
         """Forget stamps and dynamic transforms because the clock was set back: any stamp is accepted next."""

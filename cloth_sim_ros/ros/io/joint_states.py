@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.ros.io.stamps import STAMP_EXPIRY, StampGate
+from cloth_sim_ros.ros.io.stamps import MAX_FUTURE, STAMP_EXPIRY, StampGate
 
 #: Largest number of states that wait for their frame, and of publishers with different joints.
 _MAX_WAITING, _MAX_PUBLISHERS = 4096, 256
@@ -82,7 +82,9 @@ class JointStates:
             raise ValueError(f"the position of joint '{key[of_message[k]]}' is {values[k]}; it must be finite")
         effective = gate.accept(stamp, now)
         self._waiting.append((effective, of_joints, values))
-        silent = of_joints[now - self._arrivals[of_joints] >= STAMP_EXPIRY]
+        elapsed = now - self._arrivals[of_joints]
+        # The clock may have been set back since.
+        silent = of_joints[(elapsed < 0) | (elapsed >= STAMP_EXPIRY)]
         if (self._stamps[silent] > effective).any():
             # The gate accepts the older stamps of a restarted publisher, so that its joints do too.
             self._stamps[silent] = np.minimum(self._stamps[silent], effective)
@@ -112,6 +114,13 @@ class JointStates:
             self.is_known[newer] = True
             self.stamp = max(self.stamp, stamp)
         return not known or not np.array_equal(before, self.positions)
+
+    def limit_times(self, now: int) -> None:
+        """Limit times to the present ROS time [ns], and drop states too far ahead, because wall time was set back."""
+        for times in (self._arrivals, self._stamps):
+            np.minimum(times, now, out=times)
+        self.stamp = min(self.stamp, now)
+        self._waiting = [state for state in self._waiting if state[0] <= now + MAX_FUTURE]
 
     def restart_time(self) -> None:
         """Drop queued states and forget stamps because the clock was set back: any stamp is accepted next."""

@@ -147,8 +147,14 @@ class RobotFollower:
         if name == self._settings.frame:
             # TF places it, and all links with it.
             return None
-        pose = self._links.link_pose(name, self._states.positions, mount_of(self._frames, self._settings)).tolist()
-        return tuple(pose[:3]), tuple(pose[3:]), self._states.stamp
+        mount, stamp = mount_of(self._frames, self._settings)
+        pose = self._links.link_pose(name, self._states.positions, mount).tolist()
+        return tuple(pose[:3]), tuple(pose[3:]), max(self._states.stamp, stamp)
+
+    def limit_times(self, now: int) -> None:
+        """Limit remembered times to the present ROS time [ns], because wall time was set back."""
+        self._states.limit_times(now)
+        self._last_state = min(self._last_state, now)
 
     def restart_time(self) -> None:
         """Forget stamps of joint states because the clock was set back: any stamp is accepted next."""

@@ -18,6 +18,8 @@ from std_msgs.msg import String
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.ros.io.joint_states import JointStates
+from cloth_sim_ros.ros.io.output import overridden_profile
+from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.io.stamps import to_ros_time
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.process.stopping import StopRequestedError
@@ -129,8 +131,11 @@ class RobotStart:
         def receive(data: bytes) -> None:
             self._receive(self._read(data, JointState, topic))
 
+        profile = overridden_profile(
+            self._node, settings.joint_states_topic, JOINT_STATES_QOS, endpoint_kind=SUBSCRIPTION
+        )
         subscription = self._node.create_subscription(
-            JointState, settings.joint_states_topic, receive, JOINT_STATES_QOS, raw=True
+            JointState, settings.joint_states_topic, receive, profile, raw=True
         )
         first = 0.0
 
@@ -230,19 +235,21 @@ def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, se
         FrameError: if TF lacks a frame.
     """
     if settings.source == TF:
-        return links.poses_from_links({link: _transform(frames, link) for link in dict.fromkeys(links.links)})
-    return links.poses(positions, mount_of(frames, settings))
+        return links.poses_from_links({link: _transform(frames, link)[0] for link in dict.fromkeys(links.links)})
+    return links.poses(positions, mount_of(frames, settings)[0])
 
 
-def mount_of(frames: FrameTransformer, settings: RobotParameters) -> Array | None:
-    """Return the transform of `robot.frame` in the cloth's frame, shape (4, 4); None if it is not set.
+def mount_of(frames: FrameTransformer, settings: RobotParameters) -> tuple[Array | None, int]:
+    """Return the transform of `robot.frame` in the cloth's frame, shape (4, 4), and its stamp [ns].
+
+    The transform is None, and the stamp 0, if `robot.frame` is not set.
 
     Raises:
         FrameError: if TF lacks it.
     """
-    return _transform(frames, settings.frame) if settings.frame else None
+    return _transform(frames, settings.frame) if settings.frame else (None, 0)
 
 
-def _transform(frames: FrameTransformer, frame: str) -> Array:
-    position, orientation, _ = frames.newest(frame)
-    return transform_of(position, orientation)
+def _transform(frames: FrameTransformer, frame: str) -> tuple[Array, int]:
+    position, orientation, stamp = frames.newest(frame)
+    return transform_of(position, orientation), stamp

@@ -17,8 +17,8 @@ from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.frame_ids import fault
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
-from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
-from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Reset, SetParameters, Target
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 #: Largest age of the newest transform relative to a command's stamp [ns]: a command comes before its transform.
 MAX_TRANSFORM_AGE = 100_000_000
@@ -44,6 +44,8 @@ class FrameTransformer:
         self._buffer: Any = None
         self._listener: Any = None
         self._transform_stamp = 0
+        #: Newest time of `advance_time` [ns].
+        self._time = 0
         #: Returns the pose and stamp of a robot's link by name, without tf2; None for other frames.
         self.link_pose: Callable[[str], tuple[tuple[float, ...], tuple[float, ...], int] | None] = lambda _name: None
         #: True if tf2 could not be imported. A second import would cost time in each frame of a following gripper.
@@ -100,6 +102,12 @@ class FrameTransformer:
         translation, rotation = self._lookup(frame_id, 0)
         return tuple(translation.tolist()), tuple(rotation.tolist()), self._transform_stamp
 
+    def advance_time(self, now: int) -> None:
+        """Clear the dynamic transforms if a ROS time [ns] is before that of the previous call."""
+        if now < self._time:
+            self.clear()
+        self._time = now
+
     def clear(self) -> None:
         """Clear the dynamic transforms, because the clock was set back; static ones stay."""
         if self._buffer is not None:
@@ -152,7 +160,10 @@ class TfFollower:
         log: ThrottledLog,
     ) -> None:
         self._simulation, self._frames, self._last_target_time, self._log = simulation, frames, last_target_time, log
-        self._last_stamps: dict[str, int] = {}
+        #: Newest followed frame and its position, orientation and stamp, by gripper or obstacle.
+        self._last_transforms: dict[str, tuple[Any, ...]] = {}
+        #: Grippers and obstacles whose target was sent since the last reset or change of parameters.
+        self._sent: set[str] = set()
         #: ROS time of the last new transform of a followed frame [ns], by gripper or obstacle.
         self._last_motion: dict[str, int] = {}
         #: Obstacles that follow a TF frame, and their frames, in the newest scene.
@@ -178,12 +189,19 @@ class TfFollower:
             events += self._release_if_silent(scene, index, name, now)
         return events
 
+    def observe(self, frame: Frame) -> None:
+        """Let `events` send all targets again after a reset or changed parameters: static transforms have one stamp."""
+        if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
+            self._sent.clear()
+
     def _follow_frame(self, kind: type[Target | Move], name: str, frame: str, now: int) -> list[Event]:
         if not frame:
             return []
         try:
             position, orientation, stamp = self._frames.newest(frame)
-            if stamp == self._last_stamps.get(name):
+            transform = frame, position, orientation, stamp
+            is_new = transform != self._last_transforms.get(name)
+            if not is_new and name in self._sent:
                 return []
             target = kind(name, position, orientation)
             self._simulation.check(target)
@@ -192,8 +210,10 @@ class TfFollower:
             return []
         if self._last_warnings.pop(name, None) is not None:
             self._log.info(f"found {name}", f"'{name}' follows frame '{frame}'")
-        self._last_stamps[name] = stamp
-        self._last_motion[name] = now
+        self._sent.add(name)
+        if is_new:
+            self._last_transforms[name] = transform
+            self._last_motion[name] = now
         return [target]
 
     def _warn(self, name: str, text: str, now: int) -> None:

@@ -29,7 +29,7 @@ class TwistError(ValueError):
     """Error: a commanded velocity is refused; the message says why."""
 
 
-@attrs.frozen
+@attrs.define
 class _Twist:
     """A commanded velocity in the cloth's frame."""
 
@@ -80,6 +80,11 @@ class TwistCommands:
     def forget_velocity(self, gripper: str) -> None:
         """Forget the velocity of a gripper, because a target was sent to it."""
         self._twists.pop(gripper, None)
+
+    def limit_times(self, now: int) -> None:
+        """Count the timeout of each velocity from the present ROS time [ns] at most, because wall time was set back."""
+        for twist in self._twists.values():
+            twist.stamp = min(twist.stamp, now)
 
     def clear(self) -> None:
         """Forget all velocities and stamps, because the clock or the cloth was set back."""

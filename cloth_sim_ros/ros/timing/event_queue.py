@@ -100,6 +100,10 @@ class EventQueue:
         # The newest target of a gripper is the one with the newest stamp. Other events have stamp 0 and keep order.
         return sorted(ready, key=lambda entry: entry.stamp)
 
+    def drop_later(self, stamp: int) -> None:
+        """Remove the targets due after a ROS time [ns]; events of other classes are due at once."""
+        self._entries = [entry for entry in self._entries if entry.stamp <= stamp]
+
     def contains(self, kind: type[Event]) -> bool:
         """Return true if an event of a class waits in the queue."""
         return any(isinstance(entry.event, kind) for entry in self._entries)

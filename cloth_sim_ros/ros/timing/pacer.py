@@ -56,6 +56,8 @@ class FrameTick:
     now: int
     #: True if /clock stands; then the frame advances no time.
     stands: bool = False
+    #: True if wall time was set back since the previous frame, by more than the time between them.
+    is_set_back: bool = False
 
 
 class WallPacer:
@@ -96,6 +98,8 @@ class WallPacer:
         #: Tick index of the last frame, and of the last tick that was handled.
         self._last_frame = self._last_tick = 0
         self._stamp: int | None = None
+        #: ROS time at which the previous frame started [ns].
+        self._last_start = 0
         self._timer_thread: threading.Thread | None = None
         # Held by the thread that runs a frame.
         self._running = threading.Lock()
@@ -200,7 +204,10 @@ class WallPacer:
         self._last_frame = index
         tick_time = self._start + index * self.period
         stamp, start_stamp = self._stamp_of(tick_time, skipped + 1)
-        self._on_tick(FrameTick(stamp=stamp, lateness=now - tick_time, skipped=skipped, now=start_stamp))
+        is_set_back, self._last_start = start_stamp < self._last_start, start_stamp
+        self._on_tick(
+            FrameTick(stamp=stamp, lateness=now - tick_time, skipped=skipped, now=start_stamp, is_set_back=is_set_back)
+        )
 
     def _stamp_of(self, tick_time: int, periods: int) -> tuple[int, int]:
         """Return the ROS time of a tick, evenly spaced, and the present ROS time [ns].
