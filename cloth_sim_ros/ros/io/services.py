@@ -48,6 +48,8 @@ class Services:
         self._queue, self._clock_pause = timing.stepper.queue, timing.clock_pause
         self._grippers = timing.stepper.simulation.scene.gripper_names
         self._pending: list[tuple[float, Future]] = []
+        #: Number of requests to pause, resume or reset; each ends a request of several steps.
+        self.n_interrupting = 0
         #: Grippers whose pads are closing: name, start time [s], and the future of the result.
         self._closing: list[tuple[str, float, Future]] = []
 
@@ -126,6 +128,8 @@ class Services:
                 future.set_result(outcome)
 
         with self._lock:
+            if isinstance(event, Pause | Reset):
+                self.n_interrupting += 1
             refusal = "" if isinstance(event, Reset) else self._failure.refusal
             if refusal:
                 return EventResult(frame=None, reason=refusal)
