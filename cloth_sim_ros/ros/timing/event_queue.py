@@ -109,6 +109,10 @@ class EventQueue:
         # The newest target of a gripper is the one with the newest stamp. Other events have stamp 0 and keep order.
         return sorted(ready, key=lambda entry: entry.stamp)
 
+    def withdraw(self, event: Event) -> None:
+        """Remove a waiting event, that very object, without an answer."""
+        self._entries = [entry for entry in self._entries if entry.event is not event]
+
     def contains(self, kind: type[Event]) -> bool:
         """Return true if an event of a class waits in the queue."""
         return any(isinstance(entry.event, kind) for entry in self._entries)
