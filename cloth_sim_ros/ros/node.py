@@ -30,7 +30,7 @@ from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.ros.timing.pacer import FrameTick
 from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.session.plurals import pluralize
-from cloth_sim_ros.simulation.events import Reset
+from cloth_sim_ros.simulation.events import Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -265,7 +265,8 @@ class ClothNode:
         )
         with self._lock:
             self.inputs.restart_time()
-            self.stepper.queue.refuse("/clock went back")
+            # Their setters have had the answer that the values are accepted.
+            self.stepper.queue.refuse("/clock went back", keep=(SetParameters,))
             self.stepper.queue.put(Reset())
             self.recording.session.extras = {"clock_jump": [before, now]}
 

@@ -68,6 +68,23 @@ def test_targets_due_after_a_set_back_time_are_dropped() -> None:
     assert [entry.event for entry in queue.pop_ready(99)] == [Grasp("g", True), early]
 
 
+def test_each_step_is_a_frame() -> None:
+    simulation, queue = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)})), EventQueue()
+    stepper, results = Stepper(simulation, queue), list[EventResult]()
+    queue.put(Pause(True))
+    run_frame(stepper)
+    begun = simulation.frame
+    for event in (Step(), Grasp("gripper", True), Step(), Step()):
+        queue.put(event, answer=results.append)
+    assert run_frame(stepper).events == (Grasp("gripper", True), Step())
+    run_frame(stepper)
+    run_frame(stepper)
+    assert simulation.frame == begun + 3
+    assert [outcome.frame.index for outcome in results if outcome.frame] == [begun + k for k in (1, 1, 2, 3)]
+    run_frame(stepper)
+    assert simulation.frame == begun + 3
+
+
 def test_queue_is_bounded() -> None:
     queue = EventQueue()
     for index in range(MAX_QUEUED_EVENTS + 10):

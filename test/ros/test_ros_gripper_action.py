@@ -208,6 +208,23 @@ def test_canceled_goal_stops_pads(client: Client, control_msgs: Any) -> None:
         commander.close()
 
 
+def test_canceled_goal_leaves_attaching_gripper(client: Client, control_msgs: Any) -> None:
+    with ClockedCloth(client, {"gripper.action": "GripperCommand", "gripper.radius": 0.1}) as cloth:
+        placed(cloth, cloth.simulation.positions[-1])
+        commander = Commander(client, cloth, control_msgs.GripperCommand)
+        handle = commander.send(commander.goal(0.0))
+        future = handle.cancel_goal_async()
+        client.spin_until(future.done, description="an answer to the cancellation")
+        status, _, frames = commander.finish(handle)
+        assert (status, frames) == (GoalStatus.STATUS_CANCELED, 1)
+        assert not cloth.is_closed("gripper")
+        assert not cloth.held("gripper")
+        # The next goal is taken as any.
+        assert commander.run(0.0)[0] == GoalStatus.STATUS_SUCCEEDED
+        assert cloth.held("gripper")
+        commander.close()
+
+
 def test_newer_goal_aborts_older_one(client: Client, control_msgs: Any) -> None:
     with ClockedCloth(client, PINCH) as cloth:
         placed(cloth, FAR_AWAY)

@@ -17,7 +17,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.ros.io.parameters import declare, describe
+from cloth_sim_ros.ros.io.parameters import UnknownParametersError, declare, describe
 from cloth_sim_ros.scene.parameters import parameter_file
 
 DECLARED = {entry.name: entry for entry in Scene.declared()}
@@ -190,3 +190,14 @@ def reading(client: Client, path: Path) -> Node:
     arguments = ["--ros-args", "--params-file", str(path)]
     options: dict[str, Any] = {"cli_args": arguments, "automatically_declare_parameters_from_overrides": True}
     return Node("cloth_sim", context=client.context, **options)
+
+
+def test_new_parameters_are_set_one_after_another(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        node = cloth.node.node
+        changes = {"post.shape": "sphere", "post.size": [0.05], "gripper.max_speed": 1.0}
+        results = node.set_parameters([Parameter(name, value=value) for name, value in changes.items()])
+        assert [result.reason for result in results] == [""] * 3
+        assert node.get_parameter("gripper.max_speed").value == 1.0
+        with pytest.raises(UnknownParametersError, match=r"there is no parameter 'gravty'.*gravity"):
+            node.set_parameters([Parameter("gravty", value=[0.0, 0.0, 0.0])])

@@ -8,6 +8,11 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
+from cloth_sim_ros import Scene, Simulation
+from cloth_sim_ros.ros.recording.errors import RecordingUnavailableError
+from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 
 
@@ -69,3 +74,12 @@ def test_failure_of_an_opening_recording_is_resumed() -> None:
     recording.become("recording")
     assert not errors
     assert (recording.begun, recording.running) == (4, True)
+
+
+def test_recording_that_opens_has_no_path() -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (4, 4)}))
+    session = SessionRecording(node_name="/cloth_sim", simulation=simulation)
+    opening: Any = SimpleNamespace(status=lambda: SimpleNamespace(path=None))
+    session._recorder = opening
+    with pytest.raises(RecordingUnavailableError, match="^recording already; its file is being opened$"):
+        session.begin(0)

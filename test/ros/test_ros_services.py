@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,18 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.task import Task
 from shape_msgs.msg import Mesh
 from std_srvs.srv import SetBool, Trigger
 from support.ros_client import Client, pose, positions, start_cloth
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros import Scene, Simulation, State
+from cloth_sim_ros.ros.node import ClothNode
+from cloth_sim_ros.ros.timing.event_queue import EventResult
+from cloth_sim_ros.simulation.events import Pause
 
 CORNER = (0.5, 0.0, 0.5)
 
@@ -220,3 +226,25 @@ def check_diagnostics(client: Client) -> None:
     assert float(values["largest_strain"]) > 0.0
     assert values["integrator_reason"]
     assert int(values["clouds_published"]) >= received
+
+
+def test_request_waits_for_slow_frame(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = {"cloth.resolution": [4, 4], "rate": 0.1}
+    overrides = [RosParameter(name, value=value) for name, value in values.items()]
+    with Client() as client, ClothNode("cloth_sim", context=client.context, parameter_overrides=overrides) as cloth:
+        now, answers = [100.0], list[EventResult]()
+        monkeypatch.setattr(time, "monotonic", lambda: now[0])
+
+        async def ask() -> None:
+            answers.append(await cloth.inputs.services.enqueue(Pause(True)))
+
+        task = Task(ask)
+        task()
+        for seconds in (14.0, 2.0):
+            assert not answers
+            now[0] += seconds
+            cloth.inputs.expire()
+            task()
+    assert [answer.reason for answer in answers] == [
+        "no frame was due within 15 s: frames are late; the next one applies it"
+    ]

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
+from std_srvs.srv import SetBool, Trigger
 from support.clocked_cloth import ClockedCloth
 from support.interface_packages import importable
 from support.ros_client import Client
@@ -120,6 +122,50 @@ def test_steps_pass_while_paused(client: Client, interfaces: Any) -> None:
         done = caller.run(sent.result().get_result_async())
         assert (done.status, done.result.result.result) == (GoalStatus.STATUS_ABORTED, msg.Result.OPERATION_FAILED)
         client_of_steps.destroy()
+
+
+@pytest.mark.parametrize(
+    ("request_type", "name", "fields", "reason"),
+    [
+        (SetBool, "pause", {"data": True}, r"stopped after \d+ of 1000 steps by a pause or a reset"),
+        (SetBool, "pause", {"data": False}, "the cloth is running; pause it first"),
+        (Trigger, "reset", {}, r"stopped after \d+ of 1000 steps by a pause or a reset"),
+    ],
+)
+def test_other_requests_end_steps(
+    client: Client, interfaces: Any, request_type: Any, name: str, fields: dict[str, Any], reason: str
+) -> None:
+    msg, srv, action = interfaces
+    with ClockedCloth(client, REQUESTED) as cloth:
+        caller = Caller(client, cloth, srv)
+        caller.set_state(msg.SimulationState(state=msg.SimulationState.STATE_PAUSED))
+        service = client.node.create_client(srv.StepSimulation, "/cloth_sim/step_simulation")
+        steps = ActionClient(client.node, action.SimulateSteps, "/cloth_sim/simulate_steps")
+        interrupting = client.node.create_client(request_type, f"/cloth_sim/{name}")
+        client.spin_until(
+            lambda: service.service_is_ready() and steps.server_is_ready() and interrupting.service_is_ready(),
+            description="the services",
+        )
+
+        def interrupted(future: Any) -> str:
+            for _ in range(10):
+                client.executor.spin_once(timeout_sec=0.005)
+            cloth.tick(2)
+            done = interrupting.call_async(request_type.Request(**fields))
+            for _ in range(10):
+                client.executor.spin_once(timeout_sec=0.005)
+            assert caller.run(done).success
+            result = caller.run(future).result
+            return str(getattr(result.result, "error_message", "") or result.error_message)
+
+        begun = cloth.simulation.frame
+        assert re.fullmatch(reason, interrupted(service.call_async(srv.StepSimulation.Request(steps=1000))))
+        assert cloth.simulation.frame < begun + 100
+        caller.set_state(msg.SimulationState(state=msg.SimulationState.STATE_PAUSED))
+        sent = steps.send_goal_async(action.SimulateSteps.Goal(steps=1000))
+        client.spin_until(sent.done, description="an answer")
+        assert re.fullmatch(reason, interrupted(sent.result().get_result_async()))
+        steps.destroy()
 
 
 def test_reset_restores_state(client: Client, interfaces: Any) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import State
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
@@ -195,3 +196,13 @@ def test_cloth_slower_than_the_clock_is_late(client: Client, monkeypatch: pytest
             return int(values.get("late_frames", 0)) > 10
 
         client.spin_until(late, description="late frames")
+
+
+def test_parameters_survive_jump_back(client: Client) -> None:
+    with ClockedCloth(client, {"rate": 10.0}) as cloth:
+        cloth.tick(3)
+        changed = Parameter("gravity", value=[0.0, 0.0, -1.0])
+        assert cloth.node.node.set_parameters([changed])[0].successful
+        cloth.tick_index //= 2
+        cloth.tick(3)
+        assert cloth.simulation.scene.gravity == (0.0, 0.0, -1.0)

@@ -188,6 +188,9 @@ class GripperActions:
             if self._simulation.scene.pinches(gripper):
                 goal.event = self._hold_event(gripper)
                 self._queue_grasp(goal)
+            else:
+                # Its grasp takes one frame, which has not come yet.
+                self._queue.withdraw(goal.event)
             return CancelResponse.ACCEPT
         return CancelResponse.REJECT
 
@@ -219,7 +222,9 @@ class GripperActions:
         """End a goal if a frame decided it; otherwise publish its feedback."""
         gripper, grasps = goal.gripper, [event for event in frame.events if isinstance(event, Grasp)]
         newest = [event for event in grasps if event.gripper == gripper][-1:]
-        if newest and newest[0] is not goal.event:
+        if goal.is_canceled and not self._simulation.scene.pinches(gripper):
+            self._end(goal, _CANCELED)
+        elif newest and newest[0] is not goal.event:
             self._end(goal, _ABORTED, "another command moved the gripper")
         elif any(isinstance(event, Reset) for event in frame.events):
             self._end(goal, _ABORTED, "reset before its end")

@@ -97,6 +97,14 @@ class SceneNode(SimTimeNode):
         refused.refuse()
         return super().declare_parameters(namespace, listed, *arguments, **options)
 
+    def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
+        """Set parameters one after another, as rclpy's method does, each by `set_parameters_atomically`.
+
+        Raises:
+            UnknownParametersError: names an unknown parameter; those before it stay set.
+        """
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters together or not at all, as rclpy's method does.
 

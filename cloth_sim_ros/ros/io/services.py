@@ -26,7 +26,7 @@ from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
 from cloth_sim_ros.simulation.simulation import Frame
 
-#: Longest wait of a request for its frame [s].
+#: Longest wait of a request for its frame [s], besides a period of wall time.
 FRAME_TIMEOUT = 5.0
 #: Longest wait of a request for closing pads [s].
 CLOSING_TIMEOUT = 30.0
@@ -46,8 +46,15 @@ class Services:
     def __init__(self, node: Node, timing: FrameTiming, recording: RecordingControl, failure: FailureGuard) -> None:
         self._node, self._recording, self._failure, self._lock = node, recording, failure, failure.lock
         self._queue, self._clock_pause = timing.stepper.queue, timing.clock_pause
+        #: Longest wait of a request for its frame [s], and the cause of a longer one.
+        self._frame_timeout, self._delay_cause = FRAME_TIMEOUT, "/clock stands still"
+        if not timing.follows_clock:
+            self._frame_timeout += timing.stepper.simulation.scene.period
+            self._delay_cause = "frames are late"
         self._grippers = timing.stepper.simulation.scene.gripper_names
         self._pending: list[tuple[float, Future]] = []
+        #: Number of requests to pause, resume or reset; each ends a request of several steps.
+        self.n_interrupting = 0
         #: Grippers whose pads are closing: name, start time [s], and the future of the result.
         self._closing: list[tuple[str, float, Future]] = []
 
@@ -77,9 +84,9 @@ class Services:
         """Answer requests that have waited too long for their frame or for pads. Call it periodically."""
         now = time.monotonic()
         for start, future in self._pending:
-            if now - start > FRAME_TIMEOUT and not future.done():
-                reason = f"no frame was due within {FRAME_TIMEOUT:g} s: /clock stands still; the next one applies it"
-                future.set_result(EventResult(frame=None, reason=reason))
+            if now - start > self._frame_timeout and not future.done():
+                cause = f"no frame was due within {self._frame_timeout:g} s: {self._delay_cause}"
+                future.set_result(EventResult(frame=None, reason=f"{cause}; the next one applies it"))
         self._pending = [entry for entry in self._pending if not entry[1].done()]
         for gripper, start, future in self._closing:
             if now - start > CLOSING_TIMEOUT:
@@ -126,6 +133,8 @@ class Services:
                 future.set_result(outcome)
 
         with self._lock:
+            if isinstance(event, Pause | Reset):
+                self.n_interrupting += 1
             refusal = "" if isinstance(event, Reset) else self._failure.refusal
             if refusal:
                 return EventResult(frame=None, reason=refusal)

@@ -121,7 +121,10 @@ class SimulationInterfaces:
             response.result.error_message = _RUNNING
             return response
         response.result.result = self._messages.Result.OK
-        for _ in range(request.steps):
+        begun = self._services.n_interrupting
+        for completed in range(request.steps):
+            if self._is_interrupted(begun, completed, request.steps, response.result):
+                break
             if not await self._run(Step(), response.result):
                 break
         return response
@@ -136,7 +139,11 @@ class SimulationInterfaces:
             answer.result.error_message = _RUNNING
             handle.abort()
             return answer
+        begun = self._services.n_interrupting
         for completed in range(1, steps + 1):
+            if self._is_interrupted(begun, completed - 1, steps, answer.result):
+                handle.abort()
+                return answer
             if handle.is_cancel_requested:
                 answer.result.result = self._messages.Result.OPERATION_FAILED
                 answer.result.error_message = f"canceled after {completed - 1} of {steps} steps"
@@ -148,6 +155,24 @@ class SimulationInterfaces:
             handle.publish_feedback(kind.Feedback(completed_steps=completed, remaining_steps=steps - completed))
         handle.succeed()
         return answer
+
+    def _is_interrupted(self, begun: int, completed: int, steps: int, result: Any) -> bool:
+        """Return true if further steps are no longer requested, and write the reason.
+
+        Args:
+            begun: number of requests to pause, resume or reset when the steps began.
+            completed: number of completed steps.
+            steps: number of requested steps.
+            result: receives the reason.
+        """
+        if not self._services.user_paused:
+            result.result, result.error_message = self._messages.Result.INCORRECT_STATE, _RUNNING
+        elif self._services.n_interrupting != begun:
+            result.result = self._messages.Result.OPERATION_FAILED
+            result.error_message = f"stopped after {completed} of {steps} steps by a pause or a reset"
+        else:
+            return False
+        return True
 
     async def _run(self, event: Event, result: Any) -> bool:
         """Queue an event and wait for its frame; write the outcome and return true if it took effect."""

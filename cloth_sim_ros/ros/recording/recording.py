@@ -89,7 +89,10 @@ class SessionRecording:
                 files run out.
         """
         if self._recorder is not None:
-            raise RecordingUnavailableError(f"recording already, into {self._recorder.status().path}")
+            path = self._recorder.status().path
+            raise RecordingUnavailableError(
+                "recording already; its file is being opened" if path is None else f"recording already, into {path}"
+            )
         if self._closing is not None:
             raise RecordingUnavailableError("the previous recording is still being closed; try again")
         try:

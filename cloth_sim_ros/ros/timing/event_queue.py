@@ -12,7 +12,7 @@ from collections.abc import Callable
 import attrs
 
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult
-from cloth_sim_ros.simulation.events import Event, Move, Target
+from cloth_sim_ros.simulation.events import Event, Move, Step, Target
 from cloth_sim_ros.simulation.simulation import Frame
 
 #: Capacity of the queue. Above it, new events evict the oldest target; without a target they are refused. Enough for a
@@ -92,17 +92,30 @@ class EventQueue:
         self._entries.append(QueuedEvent(event=event, stamp=stamp, answer=answer))
 
     def pop_ready(self, stamp: int) -> list[QueuedEvent]:
-        """Remove and return the events due at a ROS time [ns], by stamp; equal stamps keep the order of arrival."""
+        """Remove and return the events due at a ROS time [ns], by stamp; equal stamps keep the order of arrival.
+
+        Of several steps it returns the first, because each is a frame.
+        """
         if not self._entries:
             return []
-        ready = [entry for entry in self._entries if entry.stamp <= stamp]
-        self._entries = [entry for entry in self._entries if entry.stamp > stamp]
+        ready: list[QueuedEvent] = []
+        later: list[QueuedEvent] = []
+        has_step = False
+        for entry in self._entries:
+            is_step = isinstance(entry.event, Step)
+            (later if entry.stamp > stamp or (is_step and has_step) else ready).append(entry)
+            has_step = has_step or is_step
+        self._entries = later
         # The newest target of a gripper is the one with the newest stamp. Other events have stamp 0 and keep order.
         return sorted(ready, key=lambda entry: entry.stamp)
 
     def drop_later(self, stamp: int) -> None:
         """Remove the targets due after a ROS time [ns]; events of other classes are due at once."""
         self._entries = [entry for entry in self._entries if entry.stamp <= stamp]
+
+    def withdraw(self, event: Event) -> None:
+        """Remove a waiting event, that very object, without an answer."""
+        self._entries = [entry for entry in self._entries if entry.event is not event]
 
     def contains(self, kind: type[Event]) -> bool:
         """Return true if an event of a class waits in the queue."""
