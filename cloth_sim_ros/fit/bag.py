@@ -285,7 +285,13 @@ def _read_poses(
         topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _POSE]
         if topic is None:
             matching = [name for name in topics if name.endswith((f"/{gripper}/target", f"/{gripper}/pose"))]
-            topics = matching or topics
+            if not matching:
+                available = ", ".join(topics) or "none"
+                raise FitError(
+                    f"no topic of poses (PoseStamped) ends in /{gripper}/target or /{gripper}/pose; select one by "
+                    f"--pose {gripper}=TOPIC; available: {available}"
+                )
+            topics = matching
         remedy = f"--pose {gripper}=TOPIC"
         topic = _select_topic(topics, topic, f"poses of gripper '{gripper}' (PoseStamped)", remedy)
         messages = ((time, decode(data, _POSE)) for time, data in messages_by_topic[topic][1])

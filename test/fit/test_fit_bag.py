@@ -1,0 +1,66 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds, poses and grasps of a bag as a recording: topics, particle numbers, stamps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.session_samples import header, message
+
+from cloth_sim_ros import Scene
+from cloth_sim_ros.fit import bag
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.session.cdr import encode
+
+CLOUD, POSE = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped"
+#: Types of PointField by numpy type.
+DATATYPES = {"<u4": 6, "<f4": 7}
+SECOND = 10**9
+STAMPS = tuple(SECOND + k * SECOND // 10 for k in range(4))
+SCENE = Scene.from_parameters({"cloth.resolution": [2, 2], "grippers": ["left"]})
+PAIR = Scene.from_parameters({"cloth.resolution": [2, 2], "grippers": ["left", "right"]})
+Messages = dict[str, tuple[str, list[tuple[int, bytes]]]]
+
+
+def pose(stamp: int, x: float = 0.5) -> bytes:
+    point = message("geometry_msgs/msg/Point", x=x, y=0.0, z=1.0)
+    turn = message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    pose = message("geometry_msgs/msg/Pose", position=point, orientation=turn)
+    return encode(message(POSE, header=header(stamp), pose=pose), POSE)
+
+
+def numbered_cloud(stamp: int, particles: list[float], *, field: str = "index", kind: str = "<u4") -> bytes:
+    """A cloud whose x are its particle numbers, which stand in a field of their own too."""
+    points = np.zeros(len(particles), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (field, kind)])
+    points["x"] = points[field] = particles
+    fields = [
+        message(
+            "sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7 if k < 3 else DATATYPES[kind], count=1
+        )
+        for k, name in enumerate(points.dtype.names or ())
+    ]
+    layout = {"height": 1, "width": len(points), "point_step": 16, "row_step": 16 * len(points)}
+    data = np.frombuffer(points.tobytes(), np.uint8)
+    cloud = message(CLOUD, header=header(stamp), fields=fields, is_bigendian=False, data=data, is_dense=True, **layout)
+    return encode(cloud, CLOUD)
+
+
+def messages_of(*, particles: list[float] | None = None, poses: str = "/left/target", **field: str) -> Messages:
+    """Messages by topic of a short bag, logged at their stamps."""
+    clouds = [(stamp, numbered_cloud(stamp, particles or [0, 1, 2, 3], **field)) for stamp in STAMPS]
+    return {"/points": (CLOUD, clouds), poses: (POSE, [(stamp, pose(stamp)) for stamp in STAMPS])}
+
+
+def read(monkeypatch: pytest.MonkeyPatch, messages: Messages, scene: Scene = SCENE, **options: str) -> bag.Recording:
+    monkeypatch.setattr(bag, "_read_messages", lambda _: messages)
+    return bag.read_recording([Path("real.mcap")], scene, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("poses", "gripper"), [("/left/target", "right"), ("/goal_pose", "left")])
+def test_gripper_without_own_topic_is_refused(poses: str, gripper: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    reason = f"/{gripper}/target or /{gripper}/pose; select one by --pose {gripper}=TOPIC; available: {poses}"
+    with pytest.raises(FitError, match=reason):
+        read(monkeypatch, messages_of(poses=poses), PAIR)
