@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -22,8 +23,9 @@ from cloth_sim_ros.scene.scene import Scene
 _CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
 #: Endings of files that are no MCAP.
 _OTHER_ENDINGS = (".db3", ".bag")
-#: Names of a cloud's field with the particle index, and numpy types of PointField's integer types.
-_INDEX_FIELDS, _INTEGER_TYPES = ("index", "id", "particle"), {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"}
+#: Names of a cloud's field with the particle index, and numpy types of PointField's types.
+_INDEX_FIELDS = ("index", "id", "particle")
+_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
 def is_session(path: Path) -> bool:
@@ -114,7 +116,8 @@ def read_recording(
         poses: poses by gripper: a topic, `TOPIC:FIELD`, or a table (CSV). Default: the topic of PoseStamped whose name
             ends in /GRIPPER/target or /GRIPPER/pose.
         matched: true if points are particles, in order or by an index field; false if they are bare surface points.
-        index_field: field with the particles' numbers, beside FIELD of `topic`.
+        index_field: field with the particles' numbers: of the points of PointCloud2 (by default `index`, `id` or
+            `particle`, if they have one), or beside FIELD of `topic`.
         columns: names in a table, see `tables.read_clouds`.
         scale: factor from the unit of tables to metres.
         camera_pose: position [m] and quaternion x, y, z, w of the clouds' frame in that of the poses; the same frame by
@@ -165,7 +168,10 @@ def _read(
         cloud_topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD]
         frame = None if accepts_any_frame else scene.frame_id
         cloud_name = _select_topic(cloud_topics, cloud_name, "clouds (PointCloud2)", "--topic NAME")
-        stamped = [_read_cloud(data, time, frame, count, matched) for time, data in messages_by_topic[cloud_name][1]]
+        stamped = [
+            _read_cloud(data, time, frame, count, matched, index_field)
+            for time, data in messages_by_topic[cloud_name][1]
+        ]
     if not stamped:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_name}")
     stamped.sort(key=lambda entry: entry[0])
@@ -303,7 +309,7 @@ def _read_poses(
 
 
 def _read_cloud(
-    data: bytes, time: int, frame: str | None, count: int, matched: bool
+    data: bytes, time: int, frame: str | None, count: int, matched: bool, index_field: str
 ) -> tuple[int, NDArray[np.float64]]:
     """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if unseen."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
@@ -315,22 +321,45 @@ def _read_cloud(
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
         return cloud.stamp or time, points[is_visible(points)]
-    message = decode(data, _CLOUD)
-    fields = [field for field in message.fields if field.name in _INDEX_FIELDS and field.datatype in _INTEGER_TYPES]
-    if not fields:
+    indices = _read_indices(decode(data, _CLOUD), index_field)
+    if indices is None:
         return cloud.stamp or time, points
-    order = ">" if message.is_bigendian else "<"
-    indices = np.ndarray(
-        (message.height, message.width),
-        dtype=order + _INTEGER_TYPES[fields[0].datatype],
-        buffer=np.ascontiguousarray(message.data),
-        offset=fields[0].offset,
-        strides=(message.row_step, message.point_step),
-    ).ravel()
     wrong = np.flatnonzero((indices < 0) | (indices >= count))
     if wrong.size:
-        named = f"field '{fields[0].name}' names particle {indices[wrong[0]]}"
-        raise FitError(f"a cloud's {named}; there are {count}, from index 0")
+        raise FitError(f"a point of a cloud names particle {indices[wrong[0]]}; there are {count}, from index 0")
     ordered = np.full((count, 3), np.nan)
-    ordered[indices.astype(np.int64)] = points
+    ordered[indices] = points
     return cloud.stamp or time, ordered
+
+
+def _read_indices(message: Any, index_field: str) -> NDArray[np.int64] | None:
+    """Return the particle of each point of a PointCloud2, shape (points,); None if the points have no numbers.
+
+    Args:
+        message: the decoded cloud.
+        index_field: name of the field; empty for one of the usual names.
+    """
+    names = (index_field,) if index_field else _INDEX_FIELDS
+    fields = sorted((field for field in message.fields if field.name in names), key=lambda f: names.index(f.name))
+    if not fields:
+        if index_field:
+            available = ", ".join(field.name for field in message.fields)
+            raise FitError(f"a cloud's points have no field '{index_field}' (--index); they have {available}")
+        return None
+    field = fields[0]
+    kind = np.dtype(_FIELD_TYPES.get(field.datatype, "V0"))
+    if not kind.itemsize or field.count != 1 or field.offset + kind.itemsize > message.point_step:
+        layout = f"has type {field.datatype}, count {field.count} and offset {field.offset}"
+        raise FitError(f"field '{field.name}' of a cloud {layout}; it must hold a number for each point")
+    values = np.ndarray(
+        (message.height, message.width),
+        dtype=kind.newbyteorder(">" if message.is_bigendian else "<"),
+        buffer=np.ascontiguousarray(message.data),
+        offset=field.offset,
+        strides=(message.row_step, message.point_step),
+    ).ravel()
+    if kind.kind == "f":
+        if not (np.isfinite(values) & (values == np.round(values))).all():
+            raise FitError(f"field '{field.name}' of a cloud has the type {kind.name} and numbers that are not whole")
+        values = np.clip(values, -1.0, 2.0**32)
+    return values.astype(np.int64)

@@ -64,3 +64,32 @@ def test_gripper_without_own_topic_is_refused(poses: str, gripper: str, monkeypa
     reason = f"/{gripper}/target or /{gripper}/pose; select one by --pose {gripper}=TOPIC; available: {poses}"
     with pytest.raises(FitError, match=reason):
         read(monkeypatch, messages_of(poses=poses), PAIR)
+
+
+@pytest.mark.parametrize(
+    ("field", "kind", "index_field"),
+    [("index", "<u4", ""), ("index", "<f4", ""), ("label", "<u4", "label"), ("label", "<f4", "label")],
+)
+def test_particle_numbers_order_a_cloud(
+    field: str, kind: str, index_field: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    messages = messages_of(particles=[3, 1, 0], field=field, kind=kind)
+    recording = read(monkeypatch, messages, index_field=index_field)
+    np.testing.assert_equal(recording.clouds[0][:, 0], [0.0, 1.0, np.nan, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("particles", "kind", "index_field", "reason"),
+    [
+        ([0, 1], "<u4", "label", r"no field 'label' \(--index\); they have x, y, z, index"),
+        ([0, 0.5], "<f4", "", "'index' of a cloud has the type float32 and numbers that are not whole"),
+        ([0, float("nan")], "<f4", "", "not whole"),
+        ([0, 4], "<u4", "", "names particle 4; there are 4, from index 0"),
+        ([0, -1], "<f4", "", "names particle -1; there are 4"),
+    ],
+)
+def test_faulty_particle_numbers_are_refused(
+    particles: list[float], kind: str, index_field: str, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(FitError, match=reason):
+        read(monkeypatch, messages_of(particles=particles, kind=kind), index_field=index_field)
