@@ -11,7 +11,7 @@ from typing import Any
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.fit import message_fields, tables
 from cloth_sim_ros.fit.parameters import FitError
@@ -211,9 +211,7 @@ def _read_fields(
             wrong = [index for index in indices if not 0 <= index < count]
             if wrong:
                 raise FitError(f"field '{index_field}' names particle {wrong[0]}; there are {count}, from index 0")
-            ordered = np.full((count, 3), np.nan)
-            ordered[indices] = points
-            points = ordered
+            points = _order_points(points, indices, count)
         yield message_fields.stamp_of(message, log_time), points
 
 
@@ -327,9 +325,19 @@ def _read_cloud(
     wrong = np.flatnonzero((indices < 0) | (indices >= count))
     if wrong.size:
         raise FitError(f"a point of a cloud names particle {indices[wrong[0]]}; there are {count}, from index 0")
+    return cloud.stamp or time, _order_points(points, indices, count)
+
+
+def _order_points(points: NDArray[np.float64], indices: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return a row for each of `count` particles, NaN without a point; `indices` has the particle of each point."""
+    particles = np.asarray(indices, dtype=np.int64)
+    n_points = np.bincount(particles, minlength=count)
+    if n_points.max(initial=0) > 1:
+        particle = int(np.argmax(n_points))
+        raise FitError(f"particle {particle} has {n_points[particle]} points in a cloud; each particle has one")
     ordered = np.full((count, 3), np.nan)
-    ordered[indices] = points
-    return cloud.stamp or time, ordered
+    ordered[particles] = points
+    return ordered
 
 
 def _read_indices(message: Any, index_field: str) -> NDArray[np.int64] | None:
@@ -351,6 +359,9 @@ def _read_indices(message: Any, index_field: str) -> NDArray[np.int64] | None:
     if not kind.itemsize or field.count != 1 or field.offset + kind.itemsize > message.point_step:
         layout = f"has type {field.datatype}, count {field.count} and offset {field.offset}"
         raise FitError(f"field '{field.name}' of a cloud {layout}; it must hold a number for each point")
+    if not message.height * message.width:
+        # Numpy refuses the strides of a buffer without bytes.
+        return np.zeros(0, dtype=np.int64)
     values = np.ndarray(
         (message.height, message.width),
         dtype=kind.newbyteorder(">" if message.is_bigendian else "<"),

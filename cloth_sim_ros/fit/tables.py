@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import csv
+import math
+from array import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -166,7 +168,7 @@ def _read_csv(
             raise FitError(f"there is no column '{missing[0]}'; there are {_names_text(header)}")
     if matched and wide and max(wide) >= count:
         raise FitError(f"there are columns of particle {max(wide)}; there are {count}, from index 0")
-    clouds = dict[float, list[tuple[int, list[float]]]]()
+    clouds = dict[float, _CloudRows]()
     for row in filter(None, reader):
         if len(row) != len(header):
             raise FitError(f"line {reader.line_num} has {len(row)} entries; the table has {len(header)} columns")
@@ -181,26 +183,45 @@ def _read_csv(
         else:
             particle = line.read_particle(names["particle"], count) if matched else 0
             points = [(particle, [line.read_number(names[axis]) for axis in _AXES])]
-        clouds.setdefault(time, []).extend(points)
+        if time not in clouds:
+            clouds[time] = _CloudRows(count if matched else None)
+        for particle, point in points:
+            if not clouds[time].add(particle, point):
+                raise FitError(f"line {line.index}: particle {particle} stands twice in the cloud of time {time:g} s")
     if not clouds:
         raise FitError("the table has no cloud")
-    return np.array(list(clouds)), [_cloud(points, count if matched else None) for points in clouds.values()]
+    return np.array(list(clouds)), [rows.to_array() for rows in clouds.values()]
+
+
+class _CloudRows:
+    """Points of one cloud while its lines are read: a row for each of `count` particles, or bare points for None."""
+
+    def __init__(self, count: int | None) -> None:
+        self._is_matched = count is not None
+        self._coordinates = array("d", [math.nan]) * (3 * (count or 0))
+        self._has_line = bytearray(count or 0)
+
+    def add(self, particle: int, point: Sequence[float]) -> bool:
+        """Add a point [m], of a particle or bare; return False if the particle has one already."""
+        if not self._is_matched:
+            self._coordinates.extend(point)
+            return True
+        if self._has_line[particle]:
+            return False
+        self._has_line[particle] = 1
+        self._coordinates[3 * particle : 3 * particle + 3] = array("d", point)
+        return True
+
+    def to_array(self) -> Array:
+        """Return the points [m], shape (points, 3): NaN for hidden particles, and none of hidden bare points."""
+        points = np.frombuffer(self._coordinates, dtype=np.float64).reshape(-1, 3)
+        return points if self._is_matched else points[np.isfinite(points).all(axis=1)]
 
 
 def _names_text(names: Sequence[str]) -> str:
     """Return the first names as text, and how many more there are; `none` without names."""
     more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return ", ".join(names[:_MAX_LISTED]) + more or "none"
-
-
-def _cloud(points: Sequence[tuple[int, Sequence[float]]], count: int | None) -> Array:
-    """Return the points of one cloud as an array: a row for each of `count` particles, or bare points for None."""
-    rows = np.array([row for _, row in points], dtype=np.float64)
-    if count is None:
-        return rows[np.isfinite(rows).all(axis=1)]
-    cloud = np.full((count, 3), np.nan)
-    cloud[[particle for particle, _ in points]] = rows
-    return cloud
 
 
 @attrs.frozen
@@ -238,5 +259,7 @@ def _wide_columns(header: Sequence[str], names: Mapping[str, str]) -> dict[int, 
             missing = [key for key in keys if key not in header]
             if missing:
                 raise FitError(f"there is a column '{name}', but no column '{missing[0]}'")
+            if int(index) in columns:
+                raise FitError(f"there are several columns of particle {int(index)}, such as '{name}'")
             columns[int(index)] = keys
     return columns

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,7 +34,7 @@ def pose(stamp: int, x: float = 0.5) -> bytes:
     return encode(message(POSE, header=header(stamp), pose=pose), POSE)
 
 
-def numbered_cloud(stamp: int, particles: list[float], *, field: str = "index", kind: str = "<u4") -> bytes:
+def numbered_cloud(stamp: int, particles: Sequence[float], *, field: str = "index", kind: str = "<u4") -> bytes:
     """A cloud whose x are its particle numbers, which stand in a field of their own too."""
     points = np.zeros(len(particles), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), (field, kind)])
     points["x"] = points[field] = particles
@@ -48,9 +50,9 @@ def numbered_cloud(stamp: int, particles: list[float], *, field: str = "index", 
     return encode(cloud, CLOUD)
 
 
-def messages_of(*, particles: list[float] | None = None, poses: str = "/left/target", **field: str) -> Messages:
+def messages_of(*, particles: Sequence[float] = (0, 1, 2, 3), poses: str = "/left/target", **field: str) -> Messages:
     """Messages by topic of a short bag, logged at their stamps."""
-    clouds = [(stamp, numbered_cloud(stamp, particles or [0, 1, 2, 3], **field)) for stamp in STAMPS]
+    clouds = [(stamp, numbered_cloud(stamp, particles, **field)) for stamp in STAMPS]
     return {"/points": (CLOUD, clouds), poses: (POSE, [(stamp, pose(stamp)) for stamp in STAMPS])}
 
 
@@ -78,6 +80,14 @@ def test_particle_numbers_order_a_cloud(
     np.testing.assert_equal(recording.clouds[0][:, 0], [0.0, 1.0, np.nan, 3.0])
 
 
+def test_cloud_of_no_points_hides_all_particles(monkeypatch: pytest.MonkeyPatch) -> None:
+    messages = messages_of()
+    messages["/points"][1][0] = (STAMPS[0], numbered_cloud(STAMPS[0], []))
+    recording = read(monkeypatch, messages)
+    assert recording.clouds[0].shape == recording.clouds[1].shape == (4, 3)
+    assert np.isnan(recording.clouds[0]).all()
+
+
 @pytest.mark.parametrize(
     ("particles", "kind", "index_field", "reason"),
     [
@@ -85,11 +95,20 @@ def test_particle_numbers_order_a_cloud(
         ([0, 0.5], "<f4", "", "'index' of a cloud has the type float32 and numbers that are not whole"),
         ([0, float("nan")], "<f4", "", "not whole"),
         ([0, 4], "<u4", "", "names particle 4; there are 4, from index 0"),
+        ([0, 1, 2, 1], "<u4", "", "particle 1 has 2 points in a cloud; each particle has one"),
         ([0, -1], "<f4", "", "names particle -1; there are 4"),
     ],
 )
 def test_faulty_particle_numbers_are_refused(
-    particles: list[float], kind: str, index_field: str, reason: str, monkeypatch: pytest.MonkeyPatch
+    particles: Sequence[float], kind: str, index_field: str, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(FitError, match=reason):
         read(monkeypatch, messages_of(particles=particles, kind=kind), index_field=index_field)
+
+
+def test_marker_number_that_stands_twice_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = SimpleNamespace(x=1.0, y=2.0, z=3.0)
+    markers = SimpleNamespace(markers=[SimpleNamespace(id=k, point=point) for k in (0, 1, 0)])
+    monkeypatch.setattr(bag.message_fields, "topic_messages", lambda _paths, _topic: [(SECOND, markers)])
+    with pytest.raises(FitError, match="particle 0 has 2 points in a cloud"):
+        read(monkeypatch, messages_of(), topic="/markers:markers[].point", index_field="markers[].id")

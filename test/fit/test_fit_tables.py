@@ -132,6 +132,8 @@ def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
         ("time,particle,x,y,z\n0,0,1,2,far\n", "line 2: z is 'far'; it must be a number"),
         ("time,particle,x,y,z\nnan,0,1,2,3\n", "line 2: time is nan; it must be finite"),
         ("time,x0,y0,z0\n0,1,2,3\n0,1,2,3\n", "line 3: a cloud of time 0 s stands above"),
+        ("time,particle,x,y,z\n0,1,1,2,3\n0,1,,,\n", "line 3: particle 1 stands twice in the cloud of time 0 s"),
+        ("time,x1,x01,y1,y01,z1,z01\n0,1,2,3,4,5,6\n", "there are several columns of particle 1, such as 'x01'"),
         ("time,x0,y0\n0,1,2\n", "there is a column 'x0', but no column 'z0'"),
         ("time,x7,y7,z7\n0,1,2,3\n", "there are columns of particle 7; there are 4"),
         ("time;x0;y0;z0\n0;1,5;2;3\n", "its columns are separated by semicolons; save it with commas"),
