@@ -163,18 +163,19 @@ def _read(
     messages_by_topic = _read_messages(paths)
     cloud_name, field = message_fields.split_topic(topic) if topic is not None else (None, "")
     if cloud_name is not None and field:
-        stamped = list(_read_fields(paths, cloud_name, field, index_field, count, matched))
+        read = list(_read_fields(paths, cloud_name, field, index_field, count, matched))
     else:
         cloud_topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD]
         frame = None if accepts_any_frame else scene.frame_id
         cloud_name = _select_topic(cloud_topics, cloud_name, "clouds (PointCloud2)", "--topic NAME")
-        stamped = [
+        read = [
             _read_cloud(data, time, frame, count, matched, index_field)
             for time, data in messages_by_topic[cloud_name][1]
         ]
-    if not stamped:
+    if not read:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_name}")
-    stamped.sort(key=lambda entry: entry[0])
+    cloud_times = _message_times([(stamp, log_time) for stamp, log_time, _ in read])
+    stamped = sorted(zip(cloud_times, (cloud for _, _, cloud in read), strict=True), key=lambda entry: entry[0])
     start = stamped[0][0]
     distinct = [entry for k, entry in enumerate(stamped) if not k or entry[0] > stamped[k - 1][0]]
     return Recording(
@@ -196,8 +197,8 @@ def _read_table_track(gripper: str, source: str | None, start: float, scale: flo
 
 def _read_fields(
     paths: Sequence[Path], topic: str, field: str, index_field: str, count: int, matched: bool
-) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yield stamp [ns] and points [m] of each message of a topic, by the names of its fields."""
+) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
+    """Yield stamp and log time [ns], and points [m] of each message of a topic, by the names of its fields."""
     if index_field:
         message_fields.check_field(index_field)
     for log_time, message in message_fields.topic_messages(paths, topic):
@@ -212,7 +213,16 @@ def _read_fields(
             if wrong:
                 raise FitError(f"field '{index_field}' names particle {wrong[0]}; there are {count}, from index 0")
             points = _order_points(points, indices, count)
-        yield message_fields.stamp_of(message, log_time), points
+        yield message_fields.stamp_of(message), log_time, points
+
+
+def _message_times(times: Sequence[tuple[int, int]]) -> list[int]:
+    """Return the times of a topic's messages [ns] by their stamps and log times: the latter if no message has a stamp.
+
+    Simulated time begins at the stamp 0.
+    """
+    has_stamps = any(stamp for stamp, _ in times)
+    return [stamp if has_stamps else log_time for stamp, log_time in times]
 
 
 def _read_messages(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
@@ -255,10 +265,16 @@ def _read_track(
         return tables.read_track(Path(requested), 1e-9 * start, scale=scale)
     from cloth_sim_ros.session.cdr import decode
 
-    stamped_poses = list(_read_poses(paths, messages_by_topic, gripper, requested))
-    stamps, poses = [stamp for stamp, _ in stamped_poses], [pose for _, pose in stamped_poses]
+    read = list(_read_poses(paths, messages_by_topic, gripper, requested))
+    if not read:
+        raise FitError(f"{paths[0]} holds no pose of gripper '{gripper}' on {requested}")
+    stamps = _message_times([(stamp, log_time) for stamp, log_time, _ in read])
+    poses = [pose for _, _, pose in read]
+    # Grasps have no stamp. Their log times are of another clock if the robot's time is simulated.
+    delays = sorted(stamp - log_time for stamp, (_, log_time, _) in zip(stamps, read, strict=True))
+    delay = delays[len(delays) // 2]
     grasps = [
-        (1e-9 * (time - start), bool(decode(data, _BOOL).data))
+        (1e-9 * (time + delay - start), bool(decode(data, _BOOL).data))
         for name, (kind, messages) in messages_by_topic.items()
         if kind == _BOOL and name.endswith(f"/{gripper}/grasp")
         for time, data in messages
@@ -278,8 +294,8 @@ def _read_poses(
     messages_by_topic: Mapping[str, tuple[str, list[tuple[int, bytes]]]],
     gripper: str,
     requested: str | None,
-) -> Iterator[tuple[int, list[float]]]:
-    """Yield stamp [ns], position [m] and quaternion of each pose of a gripper."""
+) -> Iterator[tuple[int, int, list[float]]]:
+    """Yield stamp and log time [ns], and position [m] and quaternion of each pose of a gripper."""
     from cloth_sim_ros.session.cdr import decode
 
     topic, field = message_fields.split_topic(requested) if requested is not None else (None, "")
@@ -303,13 +319,13 @@ def _read_poses(
         pose = message_fields.pose_of(message, field)
         if not np.isfinite(pose).all() or not any(pose[3:]):
             raise FitError(f"a pose on {topic} is {pose}; it must be finite, with a unit quaternion")
-        yield message_fields.stamp_of(message, time), pose
+        yield message_fields.stamp_of(message), time, pose
 
 
 def _read_cloud(
     data: bytes, time: int, frame: str | None, count: int, matched: bool, index_field: str
-) -> tuple[int, NDArray[np.float64]]:
-    """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if unseen."""
+) -> tuple[int, int, NDArray[np.float64]]:
+    """Return stamp and log time [ns], and points [m] of a cloud: of a matched one a row for each particle."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
 
     cloud = decode_cloud(data)
@@ -318,14 +334,14 @@ def _read_cloud(
         raise FitError(f"a cloud is given {frames}; give --camera-pose, transform it, or set frame_id")
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
-        return cloud.stamp or time, points[is_visible(points)]
+        return cloud.stamp, time, points[is_visible(points)]
     indices = _read_indices(decode(data, _CLOUD), index_field)
     if indices is None:
-        return cloud.stamp or time, points
+        return cloud.stamp, time, points
     wrong = np.flatnonzero((indices < 0) | (indices >= count))
     if wrong.size:
         raise FitError(f"a point of a cloud names particle {indices[wrong[0]]}; there are {count}, from index 0")
-    return cloud.stamp or time, _order_points(points, indices, count)
+    return cloud.stamp, time, _order_points(points, indices, count)
 
 
 def _order_points(points: NDArray[np.float64], indices: ArrayLike, count: int) -> NDArray[np.float64]:

@@ -112,3 +112,29 @@ def test_marker_number_that_stands_twice_is_refused(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(bag.message_fields, "topic_messages", lambda _paths, _topic: [(SECOND, markers)])
     with pytest.raises(FitError, match="particle 0 has 2 points in a cloud"):
         read(monkeypatch, messages_of(), topic="/markers:markers[].point", index_field="markers[].id")
+
+
+@pytest.mark.parametrize("wall_time", [0, 1_795_000_000 * SECOND])
+def test_grasps_follow_the_clock_of_the_poses(wall_time: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    messages = messages_of()
+    grasps = [(STAMPS[0] - 1, True), (STAMPS[2], False)]
+    flags = [(time, encode(message("std_msgs/msg/Bool", data=closed), "std_msgs/msg/Bool")) for time, closed in grasps]
+    messages["/left/grasp"] = ("std_msgs/msg/Bool", flags)
+    logged = {
+        topic: (kind, [(time + wall_time, data) for time, data in entries])
+        for topic, (kind, entries) in messages.items()
+    }
+    track = read(monkeypatch, logged).grippers["left"]
+    assert [closed for _, closed in track.grasps] == [True, False]
+    assert [time for time, _ in track.grasps] == pytest.approx([-1e-9, 0.2])
+    assert track.is_closed(0.19)
+    assert not track.is_closed(0.21)
+
+
+@pytest.mark.parametrize("stamps", [(0, 1, 2), (0, 0, 0)])
+def test_log_times_replace_stamps_that_are_all_zero(stamps: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    clouds = [(7 + k, numbered_cloud(stamp, [0, 1, 2, 3])) for k, stamp in enumerate(stamps)]
+    poses = [(7 + k, pose(stamp)) for k, stamp in enumerate(stamps)]
+    recording = read(monkeypatch, {"/points": (CLOUD, clouds), "/left/pose": (POSE, poses)})
+    assert recording.times == pytest.approx([0.0, 1e-9, 2e-9])
+    assert recording.grippers["left"].times == pytest.approx([0.0, 1e-9, 2e-9])
