@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import attrs
@@ -112,7 +113,6 @@ def read_track(path: Path, start: float, *, scale: float = 1.0) -> RecordedGripp
 def _read_arrays(
     content: bytes, count: int, columns: Mapping[str, str], matched: bool
 ) -> tuple[NDArray[np.float64], list[Array]]:
-    import io
     import zipfile
     import zlib
 
@@ -150,12 +150,8 @@ def _read_arrays(
 def _read_csv(
     content: bytes, count: int, columns: Mapping[str, str], matched: bool
 ) -> tuple[NDArray[np.float64], list[Array]]:
-    try:
-        lines = content.decode().removeprefix(pose_table.BYTE_ORDER_MARK).splitlines()
-    except UnicodeDecodeError as error:
-        raise FitError(f"is no text in UTF-8: {error}") from error
-    pose_table.check_separator(lines)
-    reader = csv.reader(lines, skipinitialspace=True)
+    pose_table.check_separator(_lines(content))
+    reader = csv.reader(_lines(content), skipinitialspace=True)
     header = [name.strip() for name in next(reader, [])]
     names = {name: columns.get(name, name) for name in _COLUMNS}
     if names["time"] not in header:
@@ -191,6 +187,14 @@ def _read_csv(
     if not clouds:
         raise FitError("the table has no cloud")
     return np.array(list(clouds)), [rows.to_array() for rows in clouds.values()]
+
+
+def _lines(content: bytes) -> Iterator[str]:
+    """Yield the lines of a text in UTF-8, without a byte order mark; a list of all takes many times its memory."""
+    try:
+        yield from io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FitError(f"is no text in UTF-8: {error}") from error
 
 
 class _CloudRows:
@@ -252,11 +256,12 @@ def _wide_columns(header: Sequence[str], names: Mapping[str, str]) -> dict[int, 
     patterns = [name if "{}" in name else name + "{}" for name in (names[axis] for axis in _AXES)]
     columns: dict[int, tuple[str, ...]] = {}
     before, _, after = patterns[0].partition("{}")
+    known = frozenset(header)
     for name in header:
         index = name[len(before) : len(name) - len(after)]
         if name.startswith(before) and name.endswith(after) and index.isdecimal():
             keys = tuple(pattern.replace("{}", index) for pattern in patterns)
-            missing = [key for key in keys if key not in header]
+            missing = [key for key in keys if key not in known]
             if missing:
                 raise FitError(f"there is a column '{name}', but no column '{missing[0]}'")
             if int(index) in columns:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import math
+import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,28 @@ def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
 def test_faulty_table_is_refused(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(FitError, match=rf"clouds\.csv: {reason}"):
         read_clouds(table(tmp_path, text), 4)
+
+
+def test_table_takes_less_memory_than_its_lines() -> None:
+    lines = [f"{time},{particle},0.12345678,0.12345678,0.12345678" for time in range(50) for particle in range(100)]
+    content = "\n".join(["time,particle,x,y,z", *lines]).encode()
+    n_result_bytes = 50 * 100 * 3 * 8
+    tracemalloc.start()
+    try:
+        tables._read_csv(content, 100, {}, True)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2 * n_result_bytes + len(content)
+
+
+def test_header_of_a_wide_table_is_searched_once() -> None:
+    class Header(list[str]):
+        def __contains__(self, _: object) -> bool:
+            pytest.fail("each column searches the whole header")
+
+    header = Header(["time", *(f"{axis}{k}" for k in range(3) for axis in "xyz")])
+    assert len(tables._wide_columns(header, {"x": "x", "y": "y", "z": "z"})) == 3
 
 
 def test_faulty_arrays_are_refused(tmp_path: Path) -> None:
