@@ -7,10 +7,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.fit import message_fields, tables
 from cloth_sim_ros.fit.parameters import FitError
@@ -22,8 +23,9 @@ from cloth_sim_ros.scene.scene import Scene
 _CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
 #: Endings of files that are no MCAP.
 _OTHER_ENDINGS = (".db3", ".bag")
-#: Names of a cloud's field with the particle index, and numpy types of PointField's integer types.
-_INDEX_FIELDS, _INTEGER_TYPES = ("index", "id", "particle"), {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"}
+#: Names of a cloud's field with the particle index, and numpy types of PointField's types.
+_INDEX_FIELDS = ("index", "id", "particle")
+_FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
 def is_session(path: Path) -> bool:
@@ -114,7 +116,8 @@ def read_recording(
         poses: poses by gripper: a topic, `TOPIC:FIELD`, or a table (CSV). Default: the topic of PoseStamped whose name
             ends in /GRIPPER/target or /GRIPPER/pose.
         matched: true if points are particles, in order or by an index field; false if they are bare surface points.
-        index_field: field with the particles' numbers, beside FIELD of `topic`.
+        index_field: field with the particles' numbers: of the points of PointCloud2 (by default `index`, `id` or
+            `particle`, if they have one), or beside FIELD of `topic`.
         columns: names in a table, see `tables.read_clouds`.
         scale: factor from the unit of tables to metres.
         camera_pose: position [m] and quaternion x, y, z, w of the clouds' frame in that of the poses; the same frame by
@@ -160,15 +163,19 @@ def _read(
     messages_by_topic = _read_messages(paths)
     cloud_name, field = message_fields.split_topic(topic) if topic is not None else (None, "")
     if cloud_name is not None and field:
-        stamped = list(_read_fields(paths, cloud_name, field, index_field, count, matched))
+        read = list(_read_fields(paths, cloud_name, field, index_field, count, matched))
     else:
         cloud_topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD]
         frame = None if accepts_any_frame else scene.frame_id
         cloud_name = _select_topic(cloud_topics, cloud_name, "clouds (PointCloud2)", "--topic NAME")
-        stamped = [_read_cloud(data, time, frame, count, matched) for time, data in messages_by_topic[cloud_name][1]]
-    if not stamped:
+        read = [
+            _read_cloud(data, time, frame, count, matched, index_field)
+            for time, data in messages_by_topic[cloud_name][1]
+        ]
+    if not read:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_name}")
-    stamped.sort(key=lambda entry: entry[0])
+    cloud_times = _message_times([(stamp, log_time) for stamp, log_time, _ in read])
+    stamped = sorted(zip(cloud_times, (cloud for _, _, cloud in read), strict=True), key=lambda entry: entry[0])
     start = stamped[0][0]
     distinct = [entry for k, entry in enumerate(stamped) if not k or entry[0] > stamped[k - 1][0]]
     return Recording(
@@ -190,8 +197,8 @@ def _read_table_track(gripper: str, source: str | None, start: float, scale: flo
 
 def _read_fields(
     paths: Sequence[Path], topic: str, field: str, index_field: str, count: int, matched: bool
-) -> Iterator[tuple[int, NDArray[np.float64]]]:
-    """Yield stamp [ns] and points [m] of each message of a topic, by the names of its fields."""
+) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
+    """Yield stamp and log time [ns], and points [m] of each message of a topic, by the names of its fields."""
     if index_field:
         message_fields.check_field(index_field)
     for log_time, message in message_fields.topic_messages(paths, topic):
@@ -205,10 +212,17 @@ def _read_fields(
             wrong = [index for index in indices if not 0 <= index < count]
             if wrong:
                 raise FitError(f"field '{index_field}' names particle {wrong[0]}; there are {count}, from index 0")
-            ordered = np.full((count, 3), np.nan)
-            ordered[indices] = points
-            points = ordered
-        yield message_fields.stamp_of(message, log_time), points
+            points = _order_points(points, indices, count)
+        yield message_fields.stamp_of(message), log_time, points
+
+
+def _message_times(times: Sequence[tuple[int, int]]) -> list[int]:
+    """Return the times of a topic's messages [ns] by their stamps and log times: the latter if no message has a stamp.
+
+    Simulated time begins at the stamp 0.
+    """
+    has_stamps = any(stamp for stamp, _ in times)
+    return [stamp if has_stamps else log_time for stamp, log_time in times]
 
 
 def _read_messages(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
@@ -251,10 +265,16 @@ def _read_track(
         return tables.read_track(Path(requested), 1e-9 * start, scale=scale)
     from cloth_sim_ros.session.cdr import decode
 
-    stamped_poses = list(_read_poses(paths, messages_by_topic, gripper, requested))
-    stamps, poses = [stamp for stamp, _ in stamped_poses], [pose for _, pose in stamped_poses]
+    read = list(_read_poses(paths, messages_by_topic, gripper, requested))
+    if not read:
+        raise FitError(f"{paths[0]} holds no pose of gripper '{gripper}' on {requested}")
+    stamps = _message_times([(stamp, log_time) for stamp, log_time, _ in read])
+    poses = [pose for _, _, pose in read]
+    # Grasps have no stamp. Their log times are of another clock if the robot's time is simulated.
+    delays = sorted(stamp - log_time for stamp, (_, log_time, _) in zip(stamps, read, strict=True))
+    delay = delays[len(delays) // 2]
     grasps = [
-        (1e-9 * (time - start), bool(decode(data, _BOOL).data))
+        (1e-9 * (time + delay - start), bool(decode(data, _BOOL).data))
         for name, (kind, messages) in messages_by_topic.items()
         if kind == _BOOL and name.endswith(f"/{gripper}/grasp")
         for time, data in messages
@@ -274,8 +294,8 @@ def _read_poses(
     messages_by_topic: Mapping[str, tuple[str, list[tuple[int, bytes]]]],
     gripper: str,
     requested: str | None,
-) -> Iterator[tuple[int, list[float]]]:
-    """Yield stamp [ns], position [m] and quaternion of each pose of a gripper."""
+) -> Iterator[tuple[int, int, list[float]]]:
+    """Yield stamp and log time [ns], and position [m] and quaternion of each pose of a gripper."""
     from cloth_sim_ros.session.cdr import decode
 
     topic, field = message_fields.split_topic(requested) if requested is not None else (None, "")
@@ -285,7 +305,13 @@ def _read_poses(
         topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _POSE]
         if topic is None:
             matching = [name for name in topics if name.endswith((f"/{gripper}/target", f"/{gripper}/pose"))]
-            topics = matching or topics
+            if not matching:
+                available = ", ".join(topics) or "none"
+                raise FitError(
+                    f"no topic of poses (PoseStamped) ends in /{gripper}/target or /{gripper}/pose; select one by "
+                    f"--pose {gripper}=TOPIC; available: {available}"
+                )
+            topics = matching
         remedy = f"--pose {gripper}=TOPIC"
         topic = _select_topic(topics, topic, f"poses of gripper '{gripper}' (PoseStamped)", remedy)
         messages = ((time, decode(data, _POSE)) for time, data in messages_by_topic[topic][1])
@@ -293,13 +319,13 @@ def _read_poses(
         pose = message_fields.pose_of(message, field)
         if not np.isfinite(pose).all() or not any(pose[3:]):
             raise FitError(f"a pose on {topic} is {pose}; it must be finite, with a unit quaternion")
-        yield message_fields.stamp_of(message, time), pose
+        yield message_fields.stamp_of(message), time, pose
 
 
 def _read_cloud(
-    data: bytes, time: int, frame: str | None, count: int, matched: bool
-) -> tuple[int, NDArray[np.float64]]:
-    """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if unseen."""
+    data: bytes, time: int, frame: str | None, count: int, matched: bool, index_field: str
+) -> tuple[int, int, NDArray[np.float64]]:
+    """Return stamp and log time [ns], and points [m] of a cloud: of a matched one a row for each particle."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
 
     cloud = decode_cloud(data)
@@ -308,23 +334,59 @@ def _read_cloud(
         raise FitError(f"a cloud is given {frames}; give --camera-pose, transform it, or set frame_id")
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
-        return cloud.stamp or time, points[is_visible(points)]
-    message = decode(data, _CLOUD)
-    fields = [field for field in message.fields if field.name in _INDEX_FIELDS and field.datatype in _INTEGER_TYPES]
-    if not fields:
-        return cloud.stamp or time, points
-    order = ">" if message.is_bigendian else "<"
-    indices = np.ndarray(
-        (message.height, message.width),
-        dtype=order + _INTEGER_TYPES[fields[0].datatype],
-        buffer=np.ascontiguousarray(message.data),
-        offset=fields[0].offset,
-        strides=(message.row_step, message.point_step),
-    ).ravel()
+        return cloud.stamp, time, points[is_visible(points)]
+    indices = _read_indices(decode(data, _CLOUD), index_field)
+    if indices is None:
+        return cloud.stamp, time, points
     wrong = np.flatnonzero((indices < 0) | (indices >= count))
     if wrong.size:
-        named = f"field '{fields[0].name}' names particle {indices[wrong[0]]}"
-        raise FitError(f"a cloud's {named}; there are {count}, from index 0")
+        raise FitError(f"a point of a cloud names particle {indices[wrong[0]]}; there are {count}, from index 0")
+    return cloud.stamp, time, _order_points(points, indices, count)
+
+
+def _order_points(points: NDArray[np.float64], indices: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return a row for each of `count` particles, NaN without a point; `indices` has the particle of each point."""
+    particles = np.asarray(indices, dtype=np.int64)
+    n_points = np.bincount(particles, minlength=count)
+    if n_points.max(initial=0) > 1:
+        particle = int(np.argmax(n_points))
+        raise FitError(f"particle {particle} has {n_points[particle]} points in a cloud; each particle has one")
     ordered = np.full((count, 3), np.nan)
-    ordered[indices.astype(np.int64)] = points
-    return cloud.stamp or time, ordered
+    ordered[particles] = points
+    return ordered
+
+
+def _read_indices(message: Any, index_field: str) -> NDArray[np.int64] | None:
+    """Return the particle of each point of a PointCloud2, shape (points,); None if the points have no numbers.
+
+    Args:
+        message: the decoded cloud.
+        index_field: name of the field; empty for one of the usual names.
+    """
+    names = (index_field,) if index_field else _INDEX_FIELDS
+    fields = sorted((field for field in message.fields if field.name in names), key=lambda f: names.index(f.name))
+    if not fields:
+        if index_field:
+            available = ", ".join(field.name for field in message.fields)
+            raise FitError(f"a cloud's points have no field '{index_field}' (--index); they have {available}")
+        return None
+    field = fields[0]
+    kind = np.dtype(_FIELD_TYPES.get(field.datatype, "V0"))
+    if not kind.itemsize or field.count != 1 or field.offset + kind.itemsize > message.point_step:
+        layout = f"has type {field.datatype}, count {field.count} and offset {field.offset}"
+        raise FitError(f"field '{field.name}' of a cloud {layout}; it must hold a number for each point")
+    if not message.height * message.width:
+        # Numpy refuses the strides of a buffer without bytes.
+        return np.zeros(0, dtype=np.int64)
+    values = np.ndarray(
+        (message.height, message.width),
+        dtype=kind.newbyteorder(">" if message.is_bigendian else "<"),
+        buffer=np.ascontiguousarray(message.data),
+        offset=field.offset,
+        strides=(message.row_step, message.point_step),
+    ).ravel()
+    if kind.kind == "f":
+        if not (np.isfinite(values) & (values == np.round(values))).all():
+            raise FitError(f"field '{field.name}' of a cloud has the type {kind.name} and numbers that are not whole")
+        values = np.clip(values, -1.0, 2.0**32)
+    return values.astype(np.int64)

@@ -49,9 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from cloth_sim_ros.session.output_files import check_outputs
 
     outputs = {"--write": options.write, "--json": options.json, "--plot": options.plot}
-    inputs = [path for path in (*options.session, options.scene) if path is not None]
     try:
-        check_outputs(outputs, inputs, endings={"--plot": ".png"})
+        check_outputs(outputs, _input_files(options), endings={"--plot": ".png"})
         fit = _fit(options)
         _report(fit, options)
     except (SessionError, FitError, ParameterError) as error:
@@ -96,6 +95,25 @@ def _parser() -> argparse.ArgumentParser:
     output.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
     output.add_argument("--plot", type=Path, metavar="OUT.png", help="residuals over time; needs matplotlib")
     return parser
+
+
+def _input_files(options: argparse.Namespace) -> list[Path]:
+    """Return the files that the command reads: recordings, files in the folder of a bag, the scene, tables of poses."""
+    from cloth_sim_ros.fit.tables import is_table
+    from cloth_sim_ros.session.bag import bag_files
+
+    inputs = [*options.session, *([] if options.scene is None else [options.scene])]
+    for path in options.session:
+        if path.is_dir():
+            inputs += [*bag_files(path), path / "metadata.yaml"]
+    for source in _pairs(options.pose, "--pose").values():
+        inputs += [file for file in (Path(_expand(source, path)) for path in options.session) if is_table(file)]
+    return inputs
+
+
+def _expand(source: str, path: Path) -> str:
+    """Return the poses' source of a recording: `{}` stands for its path without the ending."""
+    return source.replace("{}", str(path.with_suffix("")))
 
 
 def _add_motion_options(parser: argparse.ArgumentParser) -> None:
@@ -239,7 +257,7 @@ def _prepare_real(
             group,
             scene,
             topic=options.topic,
-            poses={name: source.replace("{}", str(group[0].with_suffix(""))) for name, source in poses.items()},
+            poses={name: _expand(source, group[0]) for name, source in poses.items()},
             matched=not options.unordered,
             index_field=options.index,
             columns=columns,

@@ -184,7 +184,7 @@ def pose_of(message: Any, field: str) -> list[float]:
     raise FitError(f"field '{field}' holds {type(value).__name__}; a pose has position and orientation")
 
 
-def stamp_of(message: Any, log_time: int) -> int:
-    """Return the stamp of a message's header [ns]; the log time if it has none."""
+def stamp_of(message: Any) -> int:
+    """Return the stamp of a message's header [ns]; 0 if it has none."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return (int(stamp.sec) * 10**9 + int(stamp.nanosec) if stamp is not None else 0) or log_time
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec) if stamp is not None else 0

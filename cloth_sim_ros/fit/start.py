@@ -177,20 +177,17 @@ def gripper_path(track: RecordedGripper, start: float) -> GripperPath:
     return GripperPath(times=track.times - start, positions=track.positions)
 
 
-def hanging_state(
-    recording: Recording, scene: Scene, selections: Sequence[GraspedParticles], start: float
-) -> State | None:
-    """Return an initial state: the first cloud's shape, moved to the grippers; None without usable points.
+def hanging_state(recording: Recording, scene: Scene, selections: Sequence[GraspedParticles], start: float) -> State:
+    """Return an initial state: the first cloud's shape, moved to the grippers.
 
-    The cloth settles from this state. A cloud with few visible particles, or of another scale, is replaced by
-    the scene's initial shape.
+    The cloth settles from this state. A cloud with few visible particles, of another scale or of another number of
+    points is replaced by the scene's initial shape.
     """
     rest_positions, cloud = scene.initial_positions(), recording.clouds[0]
     seen = is_visible(cloud)
-    if not seen.any() or (recording.matched and len(cloud) != len(rest_positions)):
-        return None
+    is_whole = recording.matched and len(cloud) == len(rest_positions)
     poses = {selection.gripper: recording.grippers[selection.gripper].pose_at(start) for selection in selections}
-    use_cloud = recording.matched and seen.mean() >= _MIN_VISIBLE
+    use_cloud = is_whole and bool(seen.mean() >= _MIN_VISIBLE)
     if use_cloud:
         ratio = scale(cloud[seen], scene.sheet.positions()[seen])
         use_cloud = ratio is not None and MIN_SCALE <= ratio <= MAX_SCALE

@@ -5,7 +5,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+import io
+import math
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import attrs
@@ -110,7 +113,6 @@ def read_track(path: Path, start: float, *, scale: float = 1.0) -> RecordedGripp
 def _read_arrays(
     content: bytes, count: int, columns: Mapping[str, str], matched: bool
 ) -> tuple[NDArray[np.float64], list[Array]]:
-    import io
     import zipfile
     import zlib
 
@@ -148,12 +150,8 @@ def _read_arrays(
 def _read_csv(
     content: bytes, count: int, columns: Mapping[str, str], matched: bool
 ) -> tuple[NDArray[np.float64], list[Array]]:
-    try:
-        lines = content.decode().removeprefix(pose_table.BYTE_ORDER_MARK).splitlines()
-    except UnicodeDecodeError as error:
-        raise FitError(f"is no text in UTF-8: {error}") from error
-    pose_table.check_separator(lines)
-    reader = csv.reader(lines, skipinitialspace=True)
+    pose_table.check_separator(_lines(content))
+    reader = csv.reader(_lines(content), skipinitialspace=True)
     header = [name.strip() for name in next(reader, [])]
     names = {name: columns.get(name, name) for name in _COLUMNS}
     if names["time"] not in header:
@@ -166,7 +164,7 @@ def _read_csv(
             raise FitError(f"there is no column '{missing[0]}'; there are {_names_text(header)}")
     if matched and wide and max(wide) >= count:
         raise FitError(f"there are columns of particle {max(wide)}; there are {count}, from index 0")
-    clouds = dict[float, list[tuple[int, list[float]]]]()
+    clouds = dict[float, _CloudRows]()
     for row in filter(None, reader):
         if len(row) != len(header):
             raise FitError(f"line {reader.line_num} has {len(row)} entries; the table has {len(header)} columns")
@@ -181,26 +179,53 @@ def _read_csv(
         else:
             particle = line.read_particle(names["particle"], count) if matched else 0
             points = [(particle, [line.read_number(names[axis]) for axis in _AXES])]
-        clouds.setdefault(time, []).extend(points)
+        if time not in clouds:
+            clouds[time] = _CloudRows(count if matched else None)
+        for particle, point in points:
+            if not clouds[time].add(particle, point):
+                raise FitError(f"line {line.index}: particle {particle} stands twice in the cloud of time {time:g} s")
     if not clouds:
         raise FitError("the table has no cloud")
-    return np.array(list(clouds)), [_cloud(points, count if matched else None) for points in clouds.values()]
+    return np.array(list(clouds)), [rows.to_array() for rows in clouds.values()]
+
+
+def _lines(content: bytes) -> Iterator[str]:
+    """Yield the lines of a text in UTF-8, without a byte order mark; a list of all takes many times its memory."""
+    try:
+        yield from io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FitError(f"is no text in UTF-8: {error}") from error
+
+
+class _CloudRows:
+    """Points of one cloud while its lines are read: a row for each of `count` particles, or bare points for None."""
+
+    def __init__(self, count: int | None) -> None:
+        self._is_matched = count is not None
+        self._coordinates = array("d", [math.nan]) * (3 * (count or 0))
+        self._has_line = bytearray(count or 0)
+
+    def add(self, particle: int, point: Sequence[float]) -> bool:
+        """Add a point [m], of a particle or bare; return False if the particle has one already."""
+        if not self._is_matched:
+            self._coordinates.extend(point)
+            return True
+        if self._has_line[particle]:
+            return False
+        self._has_line[particle] = 1
+        self._coordinates[3 * particle : 3 * particle + 3] = array("d", point)
+        return True
+
+    def to_array(self) -> Array:
+        """Return the points [m], shape (points, 3): NaN for hidden particles, and none of hidden bare points."""
+        points = np.frombuffer(self._coordinates, dtype=np.float64).reshape(-1, 3)
+        return points if self._is_matched else points[np.isfinite(points).all(axis=1)]
 
 
 def _names_text(names: Sequence[str]) -> str:
     """Return the first names as text, and how many more there are; `none` without names."""
     more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
     return ", ".join(names[:_MAX_LISTED]) + more or "none"
-
-
-def _cloud(points: Sequence[tuple[int, Sequence[float]]], count: int | None) -> Array:
-    """Return the points of one cloud as an array: a row for each of `count` particles, or bare points for None."""
-    rows = np.array([row for _, row in points], dtype=np.float64)
-    if count is None:
-        return rows[np.isfinite(rows).all(axis=1)]
-    cloud = np.full((count, 3), np.nan)
-    cloud[[particle for particle, _ in points]] = rows
-    return cloud
 
 
 @attrs.frozen
@@ -231,12 +256,15 @@ def _wide_columns(header: Sequence[str], names: Mapping[str, str]) -> dict[int, 
     patterns = [name if "{}" in name else name + "{}" for name in (names[axis] for axis in _AXES)]
     columns: dict[int, tuple[str, ...]] = {}
     before, _, after = patterns[0].partition("{}")
+    known = frozenset(header)
     for name in header:
         index = name[len(before) : len(name) - len(after)]
         if name.startswith(before) and name.endswith(after) and index.isdecimal():
             keys = tuple(pattern.replace("{}", index) for pattern in patterns)
-            missing = [key for key in keys if key not in header]
+            missing = [key for key in keys if key not in known]
             if missing:
                 raise FitError(f"there is a column '{name}', but no column '{missing[0]}'")
+            if int(index) in columns:
+                raise FitError(f"there are several columns of particle {int(index)}, such as '{name}'")
             columns[int(index)] = keys
     return columns

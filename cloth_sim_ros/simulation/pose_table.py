@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import attrs
@@ -113,7 +113,7 @@ def _parse(lines: Sequence[str]) -> PoseTable:
     )
 
 
-def check_separator(lines: Sequence[str]) -> None:
+def check_separator(lines: Iterable[str]) -> None:
     """Refuse a table whose columns are separated by something other than commas.
 
     Raises:

@@ -37,6 +37,20 @@ def test_input_file_as_output_is_refused(
         assert out.read_bytes() == was
 
 
+@pytest.mark.parametrize("out", ["left.csv", "bag_left.csv", "bag/bag_0.db3", "bag/metadata.yaml"])
+def test_poses_and_files_of_a_bag_are_no_outputs(
+    tmp_path: Path, out: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_main, "_fit", lambda _: pytest.fail("the fit began"))
+    (tmp_path / "bag").mkdir()
+    for name in ("left.csv", "bag_left.csv", "bag/bag_0.db3", "bag/metadata.yaml"):
+        (tmp_path / name).write_text("x")
+    poses = ["--pose", f"left={tmp_path}/left.csv", "--pose", "right={}_left.csv"]
+    arguments = [str(tmp_path / "bag"), "--parameters", "stretch", *poses, "--write", str(tmp_path / out)]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    assert capsys.readouterr().err.startswith(f"cloth_fit: --write is '{tmp_path / out}', ")
+
+
 def test_plot_without_png_ending_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     arguments = [str(tmp_path / "s.mcap"), "--parameters", "stretch", "--plot", str(tmp_path / "x.xyz")]

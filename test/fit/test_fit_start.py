@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import attrs
 import numpy as np
 import pytest
 from support.motion_samples import RESOLUTION, scene_of
@@ -34,7 +35,6 @@ def recording_of(n_still: int, *, shows_corners: bool = True) -> Recording:
 def held_line(recording: Recording) -> np.ndarray:
     """Return the vector between both corners in the initial state [m]."""
     state = hanging_state(recording, scene_of(), selections({"left": CORNERS}), 0.0)
-    assert state is not None
     places = state.positions[list(CORNERS)]
     assert places.mean(axis=0) == pytest.approx(recording.grippers["left"].positions[0])
     return np.asarray(places[1] - places[0])
@@ -54,3 +54,14 @@ def test_bar_direction_is_the_mean_of_its_still_clouds() -> None:
     mean = np.subtract(*corners.mean(axis=0)[::-1])
     line = held_line(recording)
     assert line / np.linalg.norm(line) == pytest.approx(mean / np.linalg.norm(mean), abs=1e-12)
+
+
+@pytest.mark.parametrize("n_points", [0, RESOLUTION**2])
+def test_first_cloud_without_points_is_held(n_points: int) -> None:
+    recording, scene = recording_of(6), scene_of()
+    recording = attrs.evolve(recording, clouds=[np.full((n_points, 3), np.nan), *recording.clouds[1:]])
+    held_line(recording)
+    state = hanging_state(recording, scene, selections({"left": CORNERS}), 0.0)
+    shift = recording.grippers["left"].positions[0] - scene.initial_positions()[list(CORNERS)].mean(axis=0)
+    free = np.setdiff1d(np.arange(RESOLUTION**2), CORNERS)
+    assert state.positions[free] == pytest.approx((scene.initial_positions() + shift)[free])

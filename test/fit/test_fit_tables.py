@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import math
+import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,8 @@ def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
         ("time,particle,x,y,z\n0,0,1,2,far\n", "line 2: z is 'far'; it must be a number"),
         ("time,particle,x,y,z\nnan,0,1,2,3\n", "line 2: time is nan; it must be finite"),
         ("time,x0,y0,z0\n0,1,2,3\n0,1,2,3\n", "line 3: a cloud of time 0 s stands above"),
+        ("time,particle,x,y,z\n0,1,1,2,3\n0,1,,,\n", "line 3: particle 1 stands twice in the cloud of time 0 s"),
+        ("time,x1,x01,y1,y01,z1,z01\n0,1,2,3,4,5,6\n", "there are several columns of particle 1, such as 'x01'"),
         ("time,x0,y0\n0,1,2\n", "there is a column 'x0', but no column 'z0'"),
         ("time,x7,y7,z7\n0,1,2,3\n", "there are columns of particle 7; there are 4"),
         ("time;x0;y0;z0\n0;1,5;2;3\n", "its columns are separated by semicolons; save it with commas"),
@@ -140,6 +143,28 @@ def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
 def test_faulty_table_is_refused(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(FitError, match=rf"clouds\.csv: {reason}"):
         read_clouds(table(tmp_path, text), 4)
+
+
+def test_table_takes_less_memory_than_its_lines() -> None:
+    lines = [f"{time},{particle},0.12345678,0.12345678,0.12345678" for time in range(50) for particle in range(100)]
+    content = "\n".join(["time,particle,x,y,z", *lines]).encode()
+    n_result_bytes = 50 * 100 * 3 * 8
+    tracemalloc.start()
+    try:
+        tables._read_csv(content, 100, {}, True)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2 * n_result_bytes + len(content)
+
+
+def test_header_of_a_wide_table_is_searched_once() -> None:
+    class Header(list[str]):
+        def __contains__(self, _: object) -> bool:
+            pytest.fail("each column searches the whole header")
+
+    header = Header(["time", *(f"{axis}{k}" for k in range(3) for axis in "xyz")])
+    assert len(tables._wide_columns(header, {"x": "x", "y": "y", "z": "z"})) == 3
 
 
 def test_faulty_arrays_are_refused(tmp_path: Path) -> None:
