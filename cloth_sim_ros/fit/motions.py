@@ -429,7 +429,7 @@ def _build(
     noise = solution.noise
     smooth = float(noise.variances.sum())
     compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
-    information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-12), dtype=np.float64)
+    information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-14), dtype=np.float64)
     return MotionFit(
         name=", ".join(r.name for r in recordings[:3])
         + (f" and {len(recordings) - 3} more" if len(recordings) > 3 else ""),

@@ -22,7 +22,10 @@ def test_altitude_springs_recover_every_start(degrees, edge_stiffness):
         rest_positions = rest_shape(name, math.radians(degrees))
         for kind in STARTS:
             begin = start_positions(
-                kind, rest_positions, COUNTS[edge_stiffness], np.random.default_rng([round(degrees), len(name), len(kind)])
+                kind,
+                rest_positions,
+                COUNTS[edge_stiffness],
+                np.random.default_rng([round(degrees), len(name), len(kind)]),
             )
             came = simulate_recovery(begin, rest_positions, edge_stiffness=edge_stiffness)
             total += came.starts
