@@ -78,8 +78,8 @@ class MotionFit:
     confounded: tuple[ConfoundedDirection, ...]
     #: Covariance of the logarithms of the parameters, shape (p, p), and how it was found.
     covariance: Covariance
-    #: Time offset and camera pose of each recording.
-    alignments: tuple[Alignment, ...]
+    #: Time offset and camera pose of each recording; None if it has its own, and none of its clouds is used.
+    alignments: tuple[Alignment | None, ...]
     alignment_model: AlignmentModel
     #: Standard deviations of the alignment's unknowns, shape (unknowns,).
     alignment_sigmas: NDArray[np.float64]
@@ -421,7 +421,7 @@ def _build(
     ]
     floors, basis = driven_floors(problem, point, inside)
     by_motion = dict(zip(inside, floors, strict=bool(floors)))
-    motions = _score_motions(problem, solution, covariance, inside, outside, by_motion)
+    motions, etas = _score_motions(problem, solution, covariance, inside, outside, by_motion)
     entries_without = [entry for entry in motions if entry.is_held_out]
     typical = float(np.median([entry.model.rms for entry in motions]))
     model, n_seen = problem.alignment, [int(is_visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
@@ -438,7 +438,10 @@ def _build(
         estimates=tuple(estimates),
         confounded=tuple(confounded_directions(problem.parameters, information, within)),
         covariance=covariance,
-        alignments=tuple(model.alignment(point.eta, k) for k in range(len(recordings))),
+        alignments=tuple(
+            model.alignment(etas.get(k, point.eta), k) if model.is_common or k in inside or k in etas else None
+            for k in range(len(recordings))
+        ),
         alignment_model=model,
         alignment_sigmas=covariance.alignment_deviations,
         sigma=noise.sigma,
@@ -509,8 +512,11 @@ def _score_motions(
     inside: Sequence[int],
     outside: Sequence[int],
     floors: Mapping[int, Score],
-) -> list[MotionScore]:
-    """Return the distances of each motion, by the parameters of a fit without it; `floors` are by index."""
+) -> tuple[list[MotionScore], dict[int, Array]]:
+    """Return the distances of each motion by the parameters of a fit without it, and alignments fitted for them.
+
+    The latter, and `floors`, are by index.
+    """
     point, p = solution.point, len(problem.parameters)
     indices = sorted([*inside, *outside])
     unknowns = {}
@@ -523,13 +529,13 @@ def _score_motions(
             problem.alignment.clamp(point.eta + change[p:], problem.offsets),
         )
     results = problem.simulate([(k, unknowns[k][0]) for k in indices], TOLERANCE)
-    scores = []
+    scores, aligned = [], dict[int, Array]()
     for k, result in zip(indices, results, strict=True):
         if isinstance(result, str) or not len(problem.used[k]):
             continue
         eta = unknowns[k][1]
         if k in outside and not problem.alignment.is_common:
-            eta = align_all(problem, attrs.evolve(point, trajectories=[result]), [k])
+            eta = aligned[k] = align_all(problem, attrs.evolve(point, trajectories=[result]), [k])
         distances = [np.linalg.norm(r, axis=1) for r in problem.residuals(k, result, eta)]
         scores.append(
             MotionScore(
@@ -540,4 +546,4 @@ def _score_motions(
                 floor=floors.get(k),
             )
         )
-    return scores
+    return scores, aligned

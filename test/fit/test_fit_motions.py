@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from support.motion_samples import CAMERA, HELD, TRUTH, record_motions, scene_of
 
+from cloth_sim_ros.fit.alignment import Alignment
 from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis
 from cloth_sim_ros.fit.main import grasped_of_groups
 from cloth_sim_ros.fit.motions import MotionFit, held_out_indices
@@ -52,6 +53,7 @@ def test_late_turned_clouds_give_right_drag(fitted: MotionFit) -> None:
     assert estimate.freedom is not None
     assert 1.0 <= estimate.freedom <= 4.0
     assert not estimate.is_identified
+    assert fitted.alignments[0] is not None
     assert fitted.alignments[0].offset == pytest.approx(CAMERA.offset, abs=0.005)
     assert fitted.alignments[0].angle == pytest.approx(CAMERA.angle, abs=0.01)
 
@@ -103,6 +105,19 @@ def test_few_clean_motions_give_drag_without_interval() -> None:
     assert not fit.estimates[0].has_interval
     assert not fit.all_identified
     assert "No intervals: fewer than 5 motions" in describe_motions(fit)
+
+
+def test_held_out_motion_states_its_own_time_offset(tmp_path: Path) -> None:
+    late = Alignment(offset=0.2, rotation=(0.0,) * 3, shift=(0.0,) * 3)
+    options: dict[str, Any] = {"time_offset": "each", "camera_pose": "no", "held_out": 1, "grasped": NAMED, **QUICK}
+    recordings = record_motions(3, camera=late)
+    empty = attrs.evolve(recordings[0], clouds=[9.0 * cloud for cloud in recordings[0].clouds])
+    fit = fit_real([*recordings, empty], scene_of(), ["normal_drag"], **options)
+    assert [entry.is_held_out for entry in fit.motions] == [False, False, True]
+    assert [entry and entry.offset for entry in fit.alignments] == [*[pytest.approx(0.2, abs=0.03)] * 3, None]
+    assert "Clouds are late by 0.0" not in describe_motions(fit)
+    write_json(fit, tmp_path / "fit.json")
+    assert json.loads((tmp_path / "fit.json").read_text())["alignment"][3] is None
 
 
 def test_particles_are_named_for_each_recording(recordings: list[Recording]) -> None:
