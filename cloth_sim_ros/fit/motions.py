@@ -163,7 +163,8 @@ def fit_motions(
     Raises:
         FitError: if the fit is impossible; the text names cause and remedy.
     """
-    _check_options(recordings, time_offset, camera_pose, held_out, within, workers)
+    check_options(len(recordings), time_offset, camera_pose, held_out, within, workers)
+    _check_cloths(recordings)
     scene = recordings[0].scene
     parameters = choose_parameters(scene, names, start)
     screened = screen_clouds(recordings)
@@ -196,15 +197,20 @@ def fit_motions(
             used_pool.__exit__(None, None, None)
 
 
-def _check_options(
-    recordings: Sequence[FitRecording],
+def check_options(
+    n_recordings: int,
     time_offset: str,
     camera_pose: str,
     held_out: int,
     within: float,
     workers: int | None,
 ) -> None:
-    if not recordings:
+    """Check the options of a fit to several motions.
+
+    Raises:
+        FitError: naming the option that can't be used.
+    """
+    if not n_recordings:
         raise FitError("no recording is given")
     for option, kind in (("time offset", time_offset), ("camera pose", camera_pose)):
         if kind not in (FIXED, SHARED, PER_RECORDING):
@@ -213,10 +219,13 @@ def _check_options(
         raise FitError(f"within is {within:g}; a relative deviation must be between 0 and 1, e.g. 0.025")
     if workers is not None and workers < 1:
         raise FitError(f"workers is {workers}; at least 1 is needed")
-    if not 0 <= held_out < len(recordings):
+    if not 0 <= held_out < n_recordings:
         raise FitError(
-            f"--held-out is {held_out}; it must be from 0 to {len(recordings) - 1}, one less than the recordings"
+            f"--held-out is {held_out}; it must be from 0 to {n_recordings - 1}, one less than the recordings"
         )
+
+
+def _check_cloths(recordings: Sequence[FitRecording]) -> None:
     count = len(recordings[0].scene.initial_positions())
     for recording in recordings[1:]:
         if len(recording.scene.initial_positions()) != count or recording.matched != recordings[0].matched:

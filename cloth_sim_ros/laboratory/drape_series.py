@@ -106,7 +106,6 @@ def drape_series(
             plates of a coarser mesh are larger, and the finer one's shape would begin in them.
         on_progress: called after each drape.
     """
-
     asks_coarse = with_mesh_error and not test.contact
 
     def drape_specimen(seed: int) -> tuple[Drape, Drape | None]:

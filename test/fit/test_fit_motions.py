@@ -169,6 +169,12 @@ def test_unusable_options_are_refused(recordings: list[Recording]) -> None:
         fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=NAMED, held_out=2, **QUICK)
     with pytest.raises(FitError, match="the camera pose is 'some'"):
         fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=NAMED, camera_pose="some", **QUICK)
+    with pytest.raises(FitError, match="workers is -1; at least 1"):
+        fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=NAMED, **(QUICK | {"workers": -1}))
+    runs: list[int] = []
+    with pytest.raises(FitError, match="within is 2"):
+        fit_real(recordings[:2], scene_of(), ["normal_drag"], within=2.0, on_progress=runs.append, **QUICK)
+    assert not runs
     with pytest.raises(FitError, match="times for"):
         attrs.evolve(recordings[0], times=recordings[0].times[1:])
     moving = recordings[0].since(0.7)
