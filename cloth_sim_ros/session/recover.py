@@ -84,6 +84,8 @@ def _target_name(source: Path, target: Path | str | None) -> tuple[Path, str]:
         raise SessionError(f"the recovered file {target} must be named *{SUFFIX}")
     if target.exists():
         raise SessionError(f"{target} exists; give another name")
+    if not target.absolute().parent.is_dir():
+        raise SessionError(f"there is no folder '{target.absolute().parent}' for {target.name}; create it first")
     return target.parent, target.stem
 
 
