@@ -235,7 +235,7 @@ def test_recover_refuses_unrecoverable_files(tmp_path: Path) -> None:
         recover(cut, whole)
     with pytest.raises(SessionError, match="must be named"):
         recover(cut, tmp_path / "mended.bag")
-    with pytest.raises(SessionError, match="there is no folder '.*nowhere' for mended.mcap; create it first"):
+    with pytest.raises(SessionError, match=r"there is no folder .*nowhere' for mended\.mcap"):
         recover(cut, tmp_path / "nowhere" / "mended.mcap")
     first, second = recover(cut).path, recover(cut).path
     assert (first.name, second.name) == ("cut_recovered.mcap", "cut_recovered-2.mcap")
