@@ -15,6 +15,8 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Least number of motions of intervals by motion.
 MIN_MOTIONS = 5
+#: Variance of a logarithm above which the clouds say nothing about the parameter.
+_MAX_VARIANCE = 100.0
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -39,27 +41,33 @@ def jackknife_covariance(problem: JointProblem, solution: JointSolution, selecte
     """Return the covariance by leaving out each motion in turn (jackknife), in the linearized fit.
 
     Motions are independent; clouds of a motion may be correlated in any way, and the model may be wrong. Unknowns
-    of one motion alone are eliminated before.
+    of one motion alone are eliminated before. Deviations are infinite of parameters about which the clouds say nothing
+    without one of the motions; the matrix holds the inverse information of these parameters.
     """
     information, gradient, keep, back = _reduced_equations(problem, solution)
     prior_information, _ = problem.prior(solution.point)
     total = information.sum(axis=0) + np.diag(prior_information[keep])
-    count = len(selected)
-    without = np.array([np.linalg.solve(total - information[g], gradient[g]) for g in range(count)])
+    count, p = len(selected), len(problem.parameters)
+    changes = np.zeros((count, p + len(solution.point.eta)))
+    changes[:, keep] = [np.linalg.solve(total - information[g], gradient[g]) for g in range(count)]
+    # Intervals are of the clouds alone: with the search's prior, a parameter that they do not show would seem exact.
+    weak = information.sum(axis=0) + np.diag(_weak_prior(prior_information, p)[keep])
+    without = np.array([np.linalg.solve(weak - information[g], gradient[g]) for g in range(count)])
     centred = without - without.mean(axis=0)
     matrix = (count - 1) / count * centred.T @ centred
-    p = len(problem.parameters)
-    changes = np.zeros((count, p + len(solution.point.eta)))
-    changes[:, keep] = without
     variances = np.zeros(p + len(solution.point.eta))
     variances[keep] = np.diag(matrix)
     variances[back] = np.nan
     deviations = np.sqrt(np.diag(matrix)[:p])
+    remaining = np.array([np.diag(np.linalg.inv(weak - part))[:p] for part in information])
+    is_known = np.all((remaining > 0.0) & (remaining < _MAX_VARIANCE), axis=0)
+    is_known_pair = is_known[:, None] & is_known
+    by_noise = np.where(is_known[:, None] | is_known, 0.0, np.linalg.inv(weak)[:p, :p])
     return Covariance(
-        matrix=matrix[:p, :p],
-        deviations=_mark_unidentified(deviations, total),
+        matrix=np.where(is_known_pair, matrix[:p, :p], by_noise),
+        deviations=np.where(is_known, deviations, np.inf),
         alignment_deviations=np.sqrt(variances[p:]),
-        freedoms=effective_freedoms(information, total, p),
+        freedoms=effective_freedoms(information, weak, p),
         has_intervals=True,
         without=changes,
     )
@@ -92,8 +100,7 @@ def noise_covariance(problem: JointProblem, solution: JointSolution, selected: S
     """Return the inverse information: the covariance if the model is right and clouds are independent."""
     prior_information, _ = problem.prior(solution.point)
     p = len(problem.parameters)
-    prior_information[:p] *= 1e-6
-    total = solution.equations.information.sum(axis=0) + np.diag(prior_information)
+    total = solution.equations.information.sum(axis=0) + np.diag(_weak_prior(prior_information, p))
     matrix = np.linalg.inv(total)
     deviations = np.sqrt(np.diag(matrix))
     return Covariance(
@@ -105,10 +112,17 @@ def noise_covariance(problem: JointProblem, solution: JointSolution, selected: S
     )
 
 
+def _weak_prior(prior_information: Array, n_parameters: int) -> Array:
+    """Return the prior's information with a negligible part of that of the parameters, which keeps sums regular."""
+    weak = prior_information.copy()
+    weak[:n_parameters] *= 1e-6
+    return weak
+
+
 def _mark_unidentified(deviations: Array, information: Array) -> Array:
     """Return the standard deviations, set to infinity if a parameter has negligible information."""
     diagonal = np.diag(information)[: len(deviations)]
-    return np.where(diagonal > 1e-2, deviations, np.inf)
+    return np.where(diagonal > 1.0 / _MAX_VARIANCE, deviations, np.inf)
 
 
 def _reduced_equations(

@@ -101,8 +101,10 @@ def write_parameters(fit: Fit | MotionFit, path: Path) -> list[str]:
         else:
             lines.append(f"#   {estimate.parameter.name}: not identified by these clouds; the scene's value is kept")
     lines += [f"# No parameter is identified: {fit.doubt}."] if fit.doubt else []
+    # The recording's name need not be UTF-8.
+    comment = "\n".join(lines).encode(errors="backslashreplace").decode()
     with atomic_write(path) as output:
-        output.write_text("\n".join(lines) + "\n" + parameter_file.dump(scene.parameters()), encoding="utf-8")
+        output.write_text(f"{comment}\n{parameter_file.dump(scene.parameters())}", encoding="utf-8")
     return [estimate.parameter.name for estimate in identified]
 
 

@@ -8,7 +8,6 @@ offset and camera pose are fitted for each, and the points' mean distance decide
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 
@@ -35,6 +34,8 @@ PLAUSIBLE_DISTANCE = 0.1
 _SHIFT_SIGMA, _DISTANCE_SIGMA = 0.05, 0.012
 #: Numbers of simulated combinations and of their recordings, from round to round.
 ROUNDS = ((16, 2), (4, 6))
+#: Largest number of combinations that are ranked.
+_MAX_COMBINATIONS = 4096
 #: Tolerance of the simulations [m].
 _TOLERANCE = 1e-3
 #: Least t value, over recordings, and least relative difference between the best combination and the next one.
@@ -151,8 +152,11 @@ def plausible_particles(
                 f"clouds' frame and by their clock. Name the particles: --held {name}={int(distances.argmin())}"
             )
         candidates.append(nearby.tolist())
-    combinations = [c for c in itertools.product(*candidates) if len(set(c)) == len(c)]
-    ranked = sorted(combinations, key=lambda combination: _implausibility(offsets, combination))
+    ranked = _ranked_combinations(offsets, candidates)
+    if not ranked:
+        raise FitError(
+            f"grippers {', '.join(names)} are near the same particle alone; name the particles of each by --held"
+        )
     return [
         {
             name: named.get(name, particles_within(rest_shape, particle, radius))
@@ -160,6 +164,32 @@ def plausible_particles(
         }
         for combination in ranked[: ROUNDS[0][0]]
     ]
+
+
+def _ranked_combinations(offsets: Array, candidates: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Return combinations of different particles, the most plausible first; at most `_MAX_COMBINATIONS`.
+
+    Grippers are added in turn. Of the combinations so far, those with the lowest bounds of their scores go on.
+    """
+    count = len(candidates)
+    chosen = np.empty((1, 0), dtype=np.int64)
+    sums, squares = np.zeros((1, 3)), np.zeros(1)
+    for g, nearby in enumerate(candidates):
+        vectors = offsets[g, nearby]
+        sums = (sums[:, None] + vectors).reshape(-1, 3)
+        squares = (squares[:, None] + np.square(vectors).sum(axis=1)).ravel()
+        chosen = np.column_stack([np.repeat(chosen, len(nearby), axis=0), np.tile(nearby, len(chosen))])
+        # The lowest score for any offsets of the grippers to come: they follow the mean, drawn a little to zero.
+        n, missing = g + 1, (count - g - 1) / count
+        shift, distance = 1.0 / _SHIFT_SIGMA**2, n / (2.0 * _DISTANCE_SIGMA) ** 2
+        means = np.square(sums / n).sum(axis=1)
+        bounds = means * shift * distance / (distance + shift * missing) + (squares / n - means) * distance
+        bounds[(chosen[:, :-1] == chosen[:, -1:]).any(axis=1)] = np.inf
+        order = np.argsort(bounds, kind="stable")[:_MAX_COMBINATIONS]
+        order = np.sort(order[np.isfinite(bounds[order])])
+        chosen, sums, squares = chosen[order], sums[order], squares[order]
+    combinations = [tuple(row) for row in chosen.tolist()]
+    return sorted(combinations, key=lambda combination: _implausibility(offsets, combination))
 
 
 def _implausibility(offsets: Array, combination: Sequence[int]) -> float:

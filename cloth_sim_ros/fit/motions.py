@@ -78,8 +78,8 @@ class MotionFit:
     confounded: tuple[ConfoundedDirection, ...]
     #: Covariance of the logarithms of the parameters, shape (p, p), and how it was found.
     covariance: Covariance
-    #: Time offset and camera pose of each recording.
-    alignments: tuple[Alignment, ...]
+    #: Time offset and camera pose of each recording; None if it has its own, and none of its clouds is used.
+    alignments: tuple[Alignment | None, ...]
     alignment_model: AlignmentModel
     #: Standard deviations of the alignment's unknowns, shape (unknowns,).
     alignment_sigmas: NDArray[np.float64]
@@ -163,7 +163,8 @@ def fit_motions(
     Raises:
         FitError: if the fit is impossible; the text names cause and remedy.
     """
-    _check_options(recordings, time_offset, camera_pose, held_out, within, workers)
+    check_options(len(recordings), time_offset, camera_pose, held_out, within, workers)
+    _check_cloths(recordings)
     scene = recordings[0].scene
     parameters = choose_parameters(scene, names, start)
     screened = screen_clouds(recordings)
@@ -196,15 +197,20 @@ def fit_motions(
             used_pool.__exit__(None, None, None)
 
 
-def _check_options(
-    recordings: Sequence[FitRecording],
+def check_options(
+    n_recordings: int,
     time_offset: str,
     camera_pose: str,
     held_out: int,
     within: float,
     workers: int | None,
 ) -> None:
-    if not recordings:
+    """Check the options of a fit to several motions.
+
+    Raises:
+        FitError: naming the option that can't be used.
+    """
+    if not n_recordings:
         raise FitError("no recording is given")
     for option, kind in (("time offset", time_offset), ("camera pose", camera_pose)):
         if kind not in (FIXED, SHARED, PER_RECORDING):
@@ -213,10 +219,13 @@ def _check_options(
         raise FitError(f"within is {within:g}; a relative deviation must be between 0 and 1, e.g. 0.025")
     if workers is not None and workers < 1:
         raise FitError(f"workers is {workers}; at least 1 is needed")
-    if not 0 <= held_out < len(recordings):
+    if not 0 <= held_out < n_recordings:
         raise FitError(
-            f"--held-out is {held_out}; it must be from 0 to {len(recordings) - 1}, one less than the recordings"
+            f"--held-out is {held_out}; it must be from 0 to {n_recordings - 1}, one less than the recordings"
         )
+
+
+def _check_cloths(recordings: Sequence[FitRecording]) -> None:
     count = len(recordings[0].scene.initial_positions())
     for recording in recordings[1:]:
         if len(recording.scene.initial_positions()) != count or recording.matched != recordings[0].matched:
@@ -421,7 +430,7 @@ def _build(
     ]
     floors, basis = driven_floors(problem, point, inside)
     by_motion = dict(zip(inside, floors, strict=bool(floors)))
-    motions = _score_motions(problem, solution, covariance, inside, outside, by_motion)
+    motions, etas = _score_motions(problem, solution, covariance, inside, outside, by_motion)
     entries_without = [entry for entry in motions if entry.is_held_out]
     typical = float(np.median([entry.model.rms for entry in motions]))
     model, n_seen = problem.alignment, [int(is_visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
@@ -429,7 +438,7 @@ def _build(
     noise = solution.noise
     smooth = float(noise.variances.sum())
     compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
-    information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-12), dtype=np.float64)
+    information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-14), dtype=np.float64)
     return MotionFit(
         name=", ".join(r.name for r in recordings[:3])
         + (f" and {len(recordings) - 3} more" if len(recordings) > 3 else ""),
@@ -438,7 +447,10 @@ def _build(
         estimates=tuple(estimates),
         confounded=tuple(confounded_directions(problem.parameters, information, within)),
         covariance=covariance,
-        alignments=tuple(model.alignment(point.eta, k) for k in range(len(recordings))),
+        alignments=tuple(
+            model.alignment(etas.get(k, point.eta), k) if model.is_common or k in inside or k in etas else None
+            for k in range(len(recordings))
+        ),
         alignment_model=model,
         alignment_sigmas=covariance.alignment_deviations,
         sigma=noise.sigma,
@@ -509,8 +521,11 @@ def _score_motions(
     inside: Sequence[int],
     outside: Sequence[int],
     floors: Mapping[int, Score],
-) -> list[MotionScore]:
-    """Return the distances of each motion, by the parameters of a fit without it; `floors` are by index."""
+) -> tuple[list[MotionScore], dict[int, Array]]:
+    """Return the distances of each motion by the parameters of a fit without it, and alignments fitted for them.
+
+    The latter, and `floors`, are by index.
+    """
     point, p = solution.point, len(problem.parameters)
     indices = sorted([*inside, *outside])
     unknowns = {}
@@ -523,13 +538,13 @@ def _score_motions(
             problem.alignment.clamp(point.eta + change[p:], problem.offsets),
         )
     results = problem.simulate([(k, unknowns[k][0]) for k in indices], TOLERANCE)
-    scores = []
+    scores, aligned = [], dict[int, Array]()
     for k, result in zip(indices, results, strict=True):
         if isinstance(result, str) or not len(problem.used[k]):
             continue
         eta = unknowns[k][1]
         if k in outside and not problem.alignment.is_common:
-            eta = align_all(problem, attrs.evolve(point, trajectories=[result]), [k])
+            eta = aligned[k] = align_all(problem, attrs.evolve(point, trajectories=[result]), [k])
         distances = [np.linalg.norm(r, axis=1) for r in problem.residuals(k, result, eta)]
         scores.append(
             MotionScore(
@@ -540,4 +555,4 @@ def _score_motions(
                 floor=floors.get(k),
             )
         )
-    return scores
+    return scores, aligned

@@ -28,7 +28,7 @@ def write_json(fit: MotionFit, path: Path) -> None:
         "time_offset": fit.alignment_model.time,
         "camera_pose": fit.alignment_model.camera,
         "pivot": list(fit.alignment_model.pivot),
-        "alignment": [attrs.asdict(alignment) for alignment in fit.alignments],
+        "alignment": [None if alignment is None else attrs.asdict(alignment) for alignment in fit.alignments],
         "grasped": None
         if fit.grasp is None
         else {

@@ -96,18 +96,18 @@ def _alignment_lines(fit: MotionFit) -> Iterator[str]:
         components, places = model.columns(0)
         return float(sigmas[places[components == component]][0]) if component in components else math.nan
 
-    first = fit.alignments[0]
+    alignments = [alignment for alignment in fit.alignments if alignment is not None]
     if model.time == PER_RECORDING:
-        offsets = [alignment.offset for alignment in fit.alignments]
+        offsets = [alignment.offset for alignment in alignments]
         yield f"Clouds are late by {min(offsets):.3f} to {max(offsets):.3f} s (fitted for each recording)."
     elif model.time != FIXED:
-        yield f"Clouds are late by {first.offset:.3f} s +- {sigma(0):.3f} (fitted, shared by all recordings)."
+        yield f"Clouds are late by {alignments[0].offset:.3f} s +- {sigma(0):.3f} (fitted, shared by all recordings)."
     if model.camera == PER_RECORDING:
-        angles = [math.degrees(alignment.angle) for alignment in fit.alignments]
+        angles = [math.degrees(alignment.angle) for alignment in alignments]
         yield f"The camera is turned by {min(angles):.1f} to {max(angles):.1f} degrees (fitted for each recording)."
     elif model.camera != FIXED or model.has_shift:
-        x, y, z = (1e3 * component for component in first.shift)
-        turn = "" if model.camera == FIXED else f"turned by {math.degrees(first.angle):.2f} degrees and "
+        x, y, z = (1e3 * component for component in alignments[0].shift)
+        turn = "" if model.camera == FIXED else f"turned by {math.degrees(alignments[0].angle):.2f} degrees and "
         yield f"The camera is {turn}shifted by ({x:.2g}, {y:.2g}, {z:.2g}) mm (fitted, shared by all recordings)."
 
 

@@ -18,7 +18,7 @@ from cloth_sim_ros.fit.hypotheses import (
     score_hypotheses,
     selections,
 )
-from cloth_sim_ros.fit.motions import MotionFit, fit_motions, strongest_motions
+from cloth_sim_ros.fit.motions import MotionFit, check_options, fit_motions, strongest_motions
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
@@ -68,6 +68,7 @@ def fit_real(
     Raises:
         FitError: if the fit is impossible; the text names cause and remedy.
     """
+    check_options(len(recordings), time_offset, camera_pose, held_out, within, workers)
     by_recording = None
     if isinstance(grasped, Sequence):
         if len(grasped) != len(recordings):

@@ -99,6 +99,11 @@ class DrapeTest:
         return min(self.plate_radius / 2.0, (self.radius - self.plate_radius) / (2.0 + 0.5 * ROW))
 
     @property
+    def permits_coarser_mesh(self) -> bool:
+        """True if the mesh of an estimate of the mesh error fits the test too."""
+        return COARSENING * self.edge_length <= self.max_edge_length
+
+    @property
     def ring_radius(self) -> float:
         """Radius of the outermost ring of particles on the plate [m], half a row beyond the plate's edge."""
         return self.plate_radius + 0.5 * ROW * self.edge_length

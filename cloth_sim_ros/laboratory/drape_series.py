@@ -13,7 +13,7 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.laboratory.drape import Drape, DrapeTest, coarser_drape, drape, mesh_error
+from cloth_sim_ros.laboratory.drape import COARSENING, Drape, DrapeTest, coarser_drape, drape, mesh_error
 from cloth_sim_ros.laboratory.samples import FabricSample
 
 
@@ -26,6 +26,8 @@ class DrapeSeries:
     drapes: Sequence[Drape]
     #: Drapes of coarser meshes with the same folds; empty if they were not asked for.
     coarse: Sequence[Drape] = ()
+    #: True if coarser meshes were asked for and do not fit the test.
+    is_too_coarse: bool = False
 
     @property
     def coefficient(self) -> float:
@@ -100,15 +102,16 @@ def drape_series(
         sample: the fabric.
         test: conditions of the test.
         seeds: seed of each specimen.
-        with_mesh_error: true to drape coarser meshes too, unless specimens are in contact. The plates of a coarser mesh
-            are larger, and the finer one's shape would begin in them.
+        with_mesh_error: true to drape coarser meshes too, if they fit the test, unless specimens are in contact. The
+            plates of a coarser mesh are larger, and the finer one's shape would begin in them.
         on_progress: called after each drape.
     """
+    asks_coarse = with_mesh_error and not test.contact
 
     def drape_specimen(seed: int) -> tuple[Drape, Drape | None]:
         fine = drape(sample, test, seed=seed)
         on_progress()
-        coarse = coarser_drape(sample, fine) if with_mesh_error and not test.contact else None
+        coarse = coarser_drape(sample, fine) if asks_coarse and test.permits_coarser_mesh else None
         return fine, coarse
 
     workers = max(1, min(len(seeds), len(os.sched_getaffinity(0))))
@@ -119,6 +122,7 @@ def drape_series(
         test=test,
         drapes=[fine for fine, _ in specimens],
         coarse=[coarse for _, coarse in specimens if coarse is not None],
+        is_too_coarse=asks_coarse and not test.permits_coarser_mesh,
     )
 
 
@@ -137,6 +141,10 @@ def describe(series: DrapeSeries) -> str:
     lines += ["", f"drape coefficient  {100.0 * series.coefficient:.1f}{spread} %, {series.nodes:.1f} nodes"]
     if series.mesh_error is not None:
         lines.append(f"error of the mesh  {100.0 * series.mesh_error:+.1f} points, from edges 1.5 times as long")
+    if series.is_too_coarse:
+        lines.append(
+            f"error of the mesh  unknown: it needs edges of at most {1e3 * test.max_edge_length / COARSENING:.3g} mm"
+        )
     if fabric.drape_coefficient is not None:
         low, high = (100.0 * bound for bound in fabric.drape_coefficient)
         real = f"{low:.1f} %" if math.isclose(low, high) else f"{low:.0f} to {high:.0f} %"

@@ -48,7 +48,8 @@ def export(
         every: export every n-th cloud.
         start: first simulated time [s].
         end: simulated time before which the export stops [s].
-        on_progress: called after each cloud read; .npz takes two passes, the first to count.
+        on_progress: called after each cloud read; .npz takes two passes, the first to count. Clouds that are recorded
+            after it are left out.
 
     ``.npz`` holds ``frame`` (m,), ``time`` (m,) [s], ``log_time`` (m,) [ns since the epoch], ``positions`` (m, n, 3)
     [m], of the clouds' precision (float32 or float64). If the session has them, also ``triangles`` (k, 3) and
@@ -139,7 +140,8 @@ def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: Sessi
             header = {"descr": dtype, "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_1_0(entry, header)
             written = 0
-            for frame in frames():
+            # A session that is being recorded has more by now.
+            for frame in itertools.islice(frames(), len(table)):
                 entry.write(np.ascontiguousarray(frame.xyz, dtype).tobytes())
                 written += 1
     if written != len(table):

@@ -84,6 +84,8 @@ def _target_name(source: Path, target: Path | str | None) -> tuple[Path, str]:
         raise SessionError(f"the recovered file {target} must be named *{SUFFIX}")
     if target.exists():
         raise SessionError(f"{target} exists; give another name")
+    if not target.absolute().parent.is_dir():
+        raise SessionError(f"there is no folder '{target.absolute().parent}' for {target.name}; create it first")
     return target.parent, target.stem
 
 
@@ -99,7 +101,9 @@ def _copy(part: SessionPart, file: AppendFile, on_progress: Callable[[int, int],
     messages = _copy_chunks(part, file, builder, on_progress)
     schemas, channels = part.declarations()
     builder.set_declarations(schemas, channels)
-    notes = {**part.end_notes, "reason": "recovered", "messages": str(messages), "missing": part.missing() or ""}
+    # The file's name need not be UTF-8.
+    missing = (part.missing() or "").encode(errors="backslashreplace").decode()
+    notes = {**part.end_notes, "reason": "recovered", "messages": str(messages), "missing": missing}
     notes["checksum"] = metadata_checksum(notes)
     end = builder.encode_metadata(Metadata(name=END_METADATA_NAME, metadata=notes), file.size)
     file.append([end, builder.encode_closing(file.size + len(end))])

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +15,20 @@ import numpy as np
 import pytest
 from support.motion_samples import CAMERA, HELD, TRUTH, record_motions, scene_of
 
-from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis
+from cloth_sim_ros.fit import hypotheses
+from cloth_sim_ros.fit.alignment import Alignment
+from cloth_sim_ros.fit.grasped import particles_within
+from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis, plausible_particles
 from cloth_sim_ros.fit.main import grasped_of_groups
 from cloth_sim_ros.fit.motions import MotionFit, held_out_indices
 from cloth_sim_ros.fit.motions_files import write_json
 from cloth_sim_ros.fit.motions_text import describe_choice, describe_motions
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.real import fit_real
-from cloth_sim_ros.fit.recorded import Recording
+from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
 from cloth_sim_ros.fit.screening import screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
+from cloth_sim_ros.scene.scene import Scene
 
 #: A short settling time, in this process.
 QUICK: dict[str, Any] = {"settle_time": 1.5, "workers": 1}
@@ -52,6 +58,7 @@ def test_late_turned_clouds_give_right_drag(fitted: MotionFit) -> None:
     assert estimate.freedom is not None
     assert 1.0 <= estimate.freedom <= 4.0
     assert not estimate.is_identified
+    assert fitted.alignments[0] is not None
     assert fitted.alignments[0].offset == pytest.approx(CAMERA.offset, abs=0.005)
     assert fitted.alignments[0].angle == pytest.approx(CAMERA.angle, abs=0.01)
 
@@ -107,6 +114,19 @@ def test_few_clean_motions_give_drag_without_interval() -> None:
     assert "No intervals: fewer than 5 motions" in describe_motions(fit)
 
 
+def test_held_out_motion_states_its_own_time_offset(tmp_path: Path) -> None:
+    late = Alignment(offset=0.2, rotation=(0.0,) * 3, shift=(0.0,) * 3)
+    options: dict[str, Any] = {"time_offset": "each", "camera_pose": "no", "held_out": 1, "grasped": NAMED, **QUICK}
+    recordings = record_motions(3, camera=late)
+    empty = attrs.evolve(recordings[0], clouds=[9.0 * cloud for cloud in recordings[0].clouds])
+    fit = fit_real([*recordings, empty], scene_of(), ["normal_drag"], **options)
+    assert [entry.is_held_out for entry in fit.motions] == [False, False, True]
+    assert [entry and entry.offset for entry in fit.alignments] == [*[pytest.approx(0.2, abs=0.03)] * 3, None]
+    assert "Clouds are late by 0.0" not in describe_motions(fit)
+    write_json(fit, tmp_path / "fit.json")
+    assert json.loads((tmp_path / "fit.json").read_text())["alignment"][3] is None
+
+
 def test_particles_are_named_for_each_recording(recordings: list[Recording]) -> None:
     fit = fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=[NAMED, {"left": "0", "right": "3"}], **QUICK)
     held = [{entry.gripper: entry.particles for entry in recording.grasped} for recording in fit.recordings]
@@ -134,6 +154,54 @@ def test_motion_chooses_right_corners(recordings: list[Recording]) -> None:
     assert len(lines) > 2
 
 
+def hanging_from(particles: dict[str, int], resolution: int) -> tuple[Scene, Recording]:
+    """Return a sheet of 0.3 m, and a recording of it at rest with shifted grippers at some of its particles."""
+    values = {"cloth.size": [0.3, 0.3], "cloth.resolution": [resolution] * 2, "cloth.anchors": [""]}
+    scene = Scene.from_parameters({**values, "grippers": list(particles)})
+    x, times = scene.initial_positions(), np.arange(5) / 30.0
+    shift, random = np.array([0.03, 0.01, -0.02]), np.random.default_rng(6)
+    tracks = {}
+    for name, particle in particles.items():
+        position = x[particle] + shift + 0.005 * random.normal(size=3)
+        quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))
+        tracks[name] = RecordedGripper(times=times, positions=np.tile(position, (5, 1)), quaternions=quaternions)
+    return scene, Recording(name="still", times=times, clouds=[x] * 5, grippers=tracks)
+
+
+def test_few_of_many_combinations_are_ranked(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, recording = hanging_from({"a": 0, "b": 12, "c": 168}, 13)
+    x, ranked = scene.sheet.positions(), list[Sequence[int]]()
+    offsets = np.array([scene.initial_positions() - recording.grippers[name].positions[0] for name in "abc"])
+    rank = hypotheses._implausibility
+
+    def count(vectors: np.ndarray, combination: Sequence[int]) -> float:
+        ranked.append(combination)
+        return rank(vectors, combination)
+
+    monkeypatch.setattr(hypotheses, "_implausibility", count)
+    chosen = plausible_particles([recording], scene, {}, 0.0)
+    assert len(ranked) <= 4096
+    limit = scene.gripper.radius + hypotheses.PLAUSIBLE_DISTANCE
+    candidates = [np.flatnonzero(np.linalg.norm(part, axis=1) <= limit).tolist() for part in offsets]
+    assert np.prod([len(part) for part in candidates]) > 30000
+    best = sorted(itertools.product(*candidates), key=lambda combination: rank(offsets, combination))[:16]
+    radius = scene.gripper.radius
+    expected = [{name: particles_within(x, k, radius) for name, k in zip("abc", ks, strict=True)} for ks in best]
+    assert chosen == expected
+
+
+def test_four_grippers_at_one_corner_hold_different_particles() -> None:
+    scene, recording = hanging_from({"a": 0, "b": 0, "c": 1, "d": 13}, 13)
+    (first, *_) = plausible_particles([recording], scene, {}, 0.0)
+    assert len({particles[0] for particles in first.values()}) == 4
+
+
+def test_grippers_at_one_particle_alone_are_refused() -> None:
+    scene, recording = hanging_from({"a": 0, "b": 0}, 2)
+    with pytest.raises(FitError, match="grippers a, b are near the same particle alone"):
+        plausible_particles([recording], scene, {}, 0.0)
+
+
 def test_tie_of_hypotheses_is_reported() -> None:
     def hypothesis(particle: int, distance: float) -> Hypothesis:
         return Hypothesis(particles={"left": (particle,)}, distances={k: distance + 1e-3 * k for k in range(6)})
@@ -156,6 +224,12 @@ def test_unusable_options_are_refused(recordings: list[Recording]) -> None:
         fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=NAMED, held_out=2, **QUICK)
     with pytest.raises(FitError, match="the camera pose is 'some'"):
         fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=NAMED, camera_pose="some", **QUICK)
+    with pytest.raises(FitError, match="workers is -1; at least 1"):
+        fit_real(recordings[:2], scene_of(), ["normal_drag"], grasped=NAMED, **(QUICK | {"workers": -1}))
+    runs: list[int] = []
+    with pytest.raises(FitError, match="within is 2"):
+        fit_real(recordings[:2], scene_of(), ["normal_drag"], within=2.0, on_progress=runs.append, **QUICK)
+    assert not runs
     with pytest.raises(FitError, match="times for"):
         attrs.evolve(recordings[0], times=recordings[0].times[1:])
     moving = recordings[0].since(0.7)

@@ -24,11 +24,12 @@ from cloth_sim_ros.fit.alignment import (
     rotation_vector,
     search_alignment,
 )
-from cloth_sim_ros.fit.clusters import effective_freedoms, jackknife_covariance
+from cloth_sim_ros.fit.clusters import Covariance, effective_freedoms, jackknife_covariance
 from cloth_sim_ros.fit.fit import Estimate
 from cloth_sim_ros.fit.noise import CAUCHY, HUBER, SQUARE, NoiseModel, initial_noise, smooth_modes
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.recording import FitRecording
+from cloth_sim_ros.fit.solver import PRIOR_SIGMA
 from cloth_sim_ros.fit.text import verdict
 from cloth_sim_ros.fit.trajectory import SimulatedMotion
 
@@ -101,6 +102,48 @@ def test_jackknife_agrees_with_refits() -> None:
     assert np.square(covariance.deviations) == pytest.approx(expected)
     assert covariance.freedoms is not None
     assert np.all((covariance.freedoms > 3.0) & (covariance.freedoms < 6.0))
+
+
+def jackknife_of(information: np.ndarray, prior: float) -> Covariance:
+    """Return the covariance of motions with random gradients, at the minimum, for a prior of the parameters."""
+    count, n = information.shape[:2]
+    roots = np.linalg.cholesky(information + 1e-18 * np.eye(n))
+    gradient = np.einsum("gij,gj->gi", roots, np.random.default_rng(4).normal(size=(count, n)))
+    problem: Any = SimpleNamespace(
+        parameters=list(range(n)),
+        alignment=SimpleNamespace(is_shared=lambda: np.zeros(0, dtype=bool)),
+        prior=lambda _point: (np.full(n, prior), np.zeros(n)),
+    )
+    equations = SimpleNamespace(information=information, gradient=gradient - gradient.mean(axis=0))
+    solution: Any = SimpleNamespace(equations=equations, point=SimpleNamespace(eta=np.zeros(0)))
+    return jackknife_covariance(problem, solution, range(count))
+
+
+@pytest.mark.parametrize("unknown", [0.0, 1e-5, 1e-2])
+def test_parameter_clouds_do_not_show_has_any_value(unknown: float) -> None:
+    information = np.array([np.diag([1e3, unknown / 10.0])] * 10)
+    covariance = jackknife_of(information, 1.0 / PRIOR_SIGMA**2)
+    assert np.isfinite(covariance.deviations).tolist() == [True, False]
+    assert covariance.matrix[1, 1] > 50.0
+    assert covariance.matrix[0, 1] == 0.0
+
+
+def test_parameter_of_one_motion_alone_has_any_value() -> None:
+    information = np.array([np.diag([1e3, 1e3 * (g == 4)]) for g in range(10)])
+    covariance = jackknife_of(information, 1.0 / PRIOR_SIGMA**2)
+    assert np.isfinite(covariance.deviations).tolist() == [True, False]
+    assert np.isfinite(covariance.matrix).all()
+
+
+def test_prior_of_search_does_not_narrow_intervals() -> None:
+    # With the search's whole prior the second deviation, of 18 %, would be 0.8 % smaller.
+    parts = np.array([[600.0, 10.0], [10.0, 3.0]]) * np.arange(0.6, 1.5, 0.1)[:, None, None]
+    exact, used = jackknife_of(parts, 0.0), jackknife_of(parts, 1.0 / PRIOR_SIGMA**2)
+    assert used.deviations == pytest.approx(exact.deviations, rel=1e-7)
+    assert used.freedoms == pytest.approx(exact.freedoms, rel=1e-6)
+    assert used.without is not None
+    # Held-out scores are of fits with the prior.
+    assert used.without[:, 1] != pytest.approx(exact.without[:, 1], rel=1e-4)  # type: ignore[index]
 
 
 def test_equal_motions_have_one_freedom_less_than_motions() -> None:

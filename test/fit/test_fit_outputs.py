@@ -6,11 +6,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from cloth_sim_ros import Scene
 from cloth_sim_ros.fit import bag as fit_bag
 from cloth_sim_ros.fit import main as fit_main
+from cloth_sim_ros.fit.files import write_parameters
 
 pytest.importorskip("mcap")
 
@@ -69,3 +73,10 @@ def test_pipe_among_recordings_is_refused(
     arguments = [str(first), str(pipe), "--scene", str(scene), "--parameters", "stretch"]
     assert fit_main.main(arguments) == fit_main.REFUSED
     assert "b.mcap is a device or a pipe" in capsys.readouterr().err
+
+
+def test_name_that_is_not_utf_8_is_escaped_in_scene(tmp_path: Path) -> None:
+    scene = Scene.from_parameters({})
+    fit: Any = SimpleNamespace(scene=scene, name=os.fsdecode(b"d\xe9.csv"), estimates=[], doubt="")
+    assert write_parameters(fit, tmp_path / "out.yaml") == []
+    assert "# The scene of d\\udce9.csv with" in (tmp_path / "out.yaml").read_text(encoding="utf-8")

@@ -79,9 +79,16 @@ def test_series_states_mean_mesh_error_and_real_value() -> None:
     assert "error of the mesh" in text
 
 
+def test_mesh_error_is_left_out_if_coarser_mesh_does_not_fit() -> None:
+    series = drape_series(fabric(1e-4), attrs.evolve(COARSE, edge_length=0.02), seeds=[0])
+    assert series.mesh_error is None
+    assert "error of the mesh  unknown: it needs edges of at most 16.4 mm" in describe(series)
+
+
 def test_series_by_contact_has_no_mesh_error() -> None:
     series = drape_series(fabric(1e-4), attrs.evolve(COARSE, edge_length=0.02, contact=True), seeds=[0])
     assert series.mesh_error is None
+    assert "error of the mesh" not in describe(series)
     assert "contact with the plate" in describe(series)
 
 

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import os
 import random
 from pathlib import Path
 from typing import get_args
@@ -213,6 +215,16 @@ def test_recovered_file_is_finished_and_holds_intact_chunks(tmp_path: Path, comp
     assert not [path for path in tmp_path.iterdir() if "unfinished" in path.name]
 
 
+def test_file_whose_name_is_not_utf_8_is_recovered(tmp_path: Path) -> None:
+    named = tmp_path / os.fsdecode(b"d\xe9.mcap")
+    try:
+        named.write_bytes(_write(tmp_path).read_bytes()[:-100])
+    except OSError:
+        pytest.skip("the file system has UTF-8 names alone")
+    with contextlib.closing(SessionPart(recover(named).path)) as part:
+        assert part.end_notes["missing"].startswith("d\\udce9.mcap: ")
+
+
 def test_recover_refuses_unrecoverable_files(tmp_path: Path) -> None:
     whole = _write(tmp_path)
     with pytest.raises(SessionError, match="nothing to recover"):
@@ -223,6 +235,8 @@ def test_recover_refuses_unrecoverable_files(tmp_path: Path) -> None:
         recover(cut, whole)
     with pytest.raises(SessionError, match="must be named"):
         recover(cut, tmp_path / "mended.bag")
+    with pytest.raises(SessionError, match=r"there is no folder .*nowhere' for mended\.mcap"):
+        recover(cut, tmp_path / "nowhere" / "mended.mcap")
     first, second = recover(cut).path, recover(cut).path
     assert (first.name, second.name) == ("cut_recovered.mcap", "cut_recovered-2.mcap")
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from rosbags.rosbag2 import Reader as BagReader
 from support import session_samples as samples
 
 from cloth_sim_ros.session.errors import RecordingError, SessionError
+from cloth_sim_ros.session.export import export
 from cloth_sim_ros.session.mcap_builder import Compression
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.writer import SessionWriter, WriterOptions
@@ -120,6 +122,29 @@ def test_cloud_is_paired_with_its_frame_only(tmp_path: Path) -> None:
 def test_same_content_gives_the_same_bytes(tmp_path: Path) -> None:
     files = [samples.write_session(tmp_path / name, CONTENT) for name in ("a", "b")]
     assert files[0].read_bytes() == files[1].read_bytes()
+
+
+@pytest.mark.parametrize("name", ["out.npz", "out.parquet"])
+def test_session_is_exported_while_it_grows(tmp_path: Path, name: str) -> None:
+    if name.endswith(".parquet"):
+        pytest.importorskip("pyarrow")
+    writer = SessionWriter(
+        tmp_path, snapshot=samples.SNAPSHOT, stem="live", log_time=samples.START, options=samples.SMALL_CHUNKS
+    )
+    content = iter([sample for sample in samples.samples(200) if sample.topic in (samples.FRAME, samples.POINTS)])
+    for topic, kind in ((samples.FRAME, "std_msgs/msg/String"), (samples.POINTS, "sensor_msgs/msg/PointCloud2")):
+        writer.declare(topic, kind)
+
+    def record(n_messages: int) -> None:
+        for sequence, sample in enumerate(itertools.islice(content, n_messages)):
+            times = {"log_time": sample.log_time, "publish_time": sample.log_time}
+            writer.add(sample.topic, sample.data, **times, sequence=sequence)
+
+    record(200)
+    with SessionReader(writer.path) as reader:
+        assert 90 <= export(reader, tmp_path / name, on_progress=lambda: record(1)) <= 200
+    assert (tmp_path / name).exists()
+    writer.abandon()
 
 
 def test_filters_by_topic_and_time(session: Path) -> None:

@@ -195,6 +195,7 @@ def run(options: argparse.Namespace) -> Report:
         low, high = e.interval_at(0.9)
         estimates.rows.append([e.parameter.name, e.value, f"{low:.4g} to {high:.4g}", e.is_identified])
     first = fit.alignments[0]
+    assert first is not None
     report.notes.append(
         f"{plain.n_clouds} clouds used, {plain.left_out.shortened} shortened ones left out; {seconds:.0f} s and "
         f"{fit.n_runs} simulations of the fit; clouds {first.offset:.3f} s late, camera turned by "

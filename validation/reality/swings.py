@@ -39,6 +39,7 @@ def complete_fit(seed: int, n_motions: int, workers: int | None) -> dict[str, An
     seconds, processor = time.perf_counter() - begin, _processor_time() - begin_processor
     chosen = {} if fit.grasp is None else dict(fit.grasp.best.particles)
     first = fit.alignments[0]
+    assert first is not None
     return {
         "seed": seed,
         "motions": n_motions,
