@@ -79,7 +79,8 @@ def test_failure_of_an_opening_recording_is_resumed() -> None:
 def test_recording_that_opens_has_no_path() -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (4, 4)}))
     session = SessionRecording(node_name="/cloth_sim", simulation=simulation)
+    # private: a recorder opens its file in a thread, at any time.
     opening: Any = SimpleNamespace(status=lambda: SimpleNamespace(path=None))
     session._recorder = opening
-    with pytest.raises(RecordingUnavailableError, match="^recording already; its file is being opened$"):
+    with pytest.raises(RecordingUnavailableError, match=r"^recording already; its file is being opened$"):
         session.begin(0)

@@ -46,11 +46,11 @@ class Services:
     def __init__(self, node: Node, timing: FrameTiming, recording: RecordingControl, failure: FailureGuard) -> None:
         self._node, self._recording, self._failure, self._lock = node, recording, failure, failure.lock
         self._queue, self._clock_pause = timing.stepper.queue, timing.clock_pause
-        #: Longest wait of a request for its frame [s], and the cause of a longer one.
-        self._frame_timeout, self._delay_cause = FRAME_TIMEOUT, "/clock stands still"
+        #: Longest wait of a request for its frame [s], and the cause of a longer one with the result.
+        self._frame_timeout, self._delay_cause = FRAME_TIMEOUT, "/clock stands still; the next one applies it"
         if not timing.follows_clock:
             self._frame_timeout += timing.stepper.simulation.scene.period
-            self._delay_cause = "frames are late"
+            self._delay_cause = "frames are late; the next one applies it"
         self._grippers = timing.stepper.simulation.scene.gripper_names
         self._pending: list[tuple[float, Future]] = []
         #: Number of requests to pause, resume or reset; each ends a request of several steps.
@@ -85,8 +85,8 @@ class Services:
         now = time.monotonic()
         for start, future in self._pending:
             if now - start > self._frame_timeout and not future.done():
-                cause = f"no frame was due within {self._frame_timeout:g} s: {self._delay_cause}"
-                future.set_result(EventResult(frame=None, reason=f"{cause}; the next one applies it"))
+                reason = f"no frame was due within {self._frame_timeout:g} s: {self._delay_cause}"
+                future.set_result(EventResult(frame=None, reason=reason))
         self._pending = [entry for entry in self._pending if not entry[1].done()]
         for gripper, start, future in self._closing:
             if now - start > CLOSING_TIMEOUT:
