@@ -151,6 +151,7 @@ def test_table_takes_less_memory_than_its_lines() -> None:
     n_result_bytes = 50 * 100 * 3 * 8
     tracemalloc.start()
     try:
+        # private: reading the file from disk takes a buffer that is larger than this table.
         tables._read_csv(content, 100, {}, True)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
@@ -164,6 +165,7 @@ def test_header_of_a_wide_table_is_searched_once() -> None:
             pytest.fail("each column searches the whole header")
 
     header = Header(["time", *(f"{axis}{k}" for k in range(3) for axis in "xyz")])
+    # private: a quadratic search shows in a header that counts it, and in times only of large tables.
     assert len(tables._wide_columns(header, {"x": "x", "y": "y", "z": "z"})) == 3
 
 
