@@ -26,7 +26,7 @@ class DrapeSeries:
     drapes: Sequence[Drape]
     #: Drapes of coarser meshes with the same folds; empty if they were not asked for.
     coarse: Sequence[Drape] = ()
-    #: True if coarser meshes were asked for and do not fit the test.
+    #: True if coarser meshes were requested and do not fit the test.
     is_too_coarse: bool = False
 
     @property
@@ -106,12 +106,12 @@ def drape_series(
             plates of a coarser mesh are larger, and the finer one's shape would begin in them.
         on_progress: called after each drape.
     """
-    asks_coarse = with_mesh_error and not test.contact
+    needs_coarse = with_mesh_error and not test.contact
 
     def drape_specimen(seed: int) -> tuple[Drape, Drape | None]:
         fine = drape(sample, test, seed=seed)
         on_progress()
-        coarse = coarser_drape(sample, fine) if asks_coarse and test.permits_coarser_mesh else None
+        coarse = coarser_drape(sample, fine) if needs_coarse and test.permits_coarser_mesh else None
         return fine, coarse
 
     workers = max(1, min(len(seeds), len(os.sched_getaffinity(0))))
@@ -122,7 +122,7 @@ def drape_series(
         test=test,
         drapes=[fine for fine, _ in specimens],
         coarse=[coarse for _, coarse in specimens if coarse is not None],
-        is_too_coarse=asks_coarse and not test.permits_coarser_mesh,
+        is_too_coarse=needs_coarse and not test.permits_coarser_mesh,
     )
 
 

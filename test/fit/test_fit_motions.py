@@ -172,6 +172,7 @@ def test_few_of_many_combinations_are_ranked(monkeypatch: pytest.MonkeyPatch) ->
     scene, recording = hanging_from({"a": 0, "b": 12, "c": 168}, 13)
     x, ranked = scene.sheet.positions(), list[Sequence[int]]()
     offsets = np.array([scene.initial_positions() - recording.grippers[name].positions[0] for name in "abc"])
+    # private: the combinations that are ranked are counted.
     rank = hypotheses._implausibility
 
     def count(vectors: np.ndarray, combination: Sequence[int]) -> float:
