@@ -209,8 +209,9 @@ def test_an_obstacle_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_static_frames_are_followed_again_after_reset() -> None:
     ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0]}
     simulation, follower, _ = make_follower(None, gripper__frame="a", **ball, ball__frame="a")
-    # Static transforms, to which tf2 gives the stamp 0. The lookup is private.
+    # Static transforms, to which tf2 gives the stamp 0.
     x_of = {"a": 1.0, "b": 2.0}
+    # private: the lookup is replaced
     follower._frames.newest = (  # type: ignore[method-assign]
         lambda frame: ((x_of[frame], 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0)
     )

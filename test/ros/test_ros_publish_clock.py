@@ -7,18 +7,23 @@ from __future__ import annotations
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from rclpy.clock import ROSClock
 from rclpy.qos import qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
+from support.line_log import LineLog
 from support.ros_client import Client, pose, stamp_of, start_cloth
 
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.clock_publisher import ClockPublisher
 from cloth_sim_ros.session.reader import SessionReader
 
 SECOND = 1_000_000_000
@@ -126,6 +131,25 @@ def test_another_publisher_of_the_clock_is_reported(ros_domain: int, start_proce
         process = start_cloth(start_process, "publish_clock:=true", SMALL)
         process.wait_for_output("/other_simulator publishes /clock too")
     assert process.interrupt() == 0
+
+
+def test_publishers_of_the_same_name_are_reported() -> None:
+    publishers = [("cloth_sim", "/")]
+    log = LineLog()
+    node: Any = SimpleNamespace(
+        create_publisher=lambda *_: None,
+        get_clock=ROSClock,
+        get_fully_qualified_name=lambda: "/cloth_sim",
+        get_publishers_info_by_topic=lambda _: [
+            SimpleNamespace(node_name=name, node_namespace=namespace) for name, namespace in publishers
+        ],
+    )
+    clock = ClockPublisher(node, ThrottledLog(log, seconds=0.0), 0.0)  # type: ignore[arg-type]
+    clock.check()
+    assert log.lines == []
+    publishers += [("cloth_sim", "/"), ("simulator", "/right"), ("simulator", "/right")]
+    clock.check()
+    assert log.lines[0].startswith("/right/simulator, another node /cloth_sim publishes /clock too")
 
 
 @pytest.mark.parametrize("check", [False, True])

@@ -244,8 +244,9 @@ def test_gripper_follows_a_link_without_tf(client: Client, description: str) -> 
         cloth.tick()
         expected = robot_scene(ARM, AT)[1].link_pose("hand", np.array([0.2, 0.2, 0.3, 0.01]))
         assert np.abs(cloth.position("gripper") - expected[:3]).max() < 1e-15
-        # Wall time is set back. The stamp of the states is private.
+        # Wall time is set back.
         cloth.node.inputs.limit_times(SECOND)
+        # private: the stamp of the joint states
         assert cloth.node.inputs._frames.newest("hand")[2] == SECOND
 
 

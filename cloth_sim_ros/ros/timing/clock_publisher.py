@@ -47,11 +47,15 @@ class ClockPublisher:
 
     def check(self) -> None:
         """Warn if another node publishes /clock too."""
-        this = self._node.get_name(), self._node.get_namespace()
-        publishers = {
-            (entry.node_name, entry.node_namespace) for entry in self._node.get_publishers_info_by_topic(_TOPIC)
-        }
-        names = sorted(f"{namespace.rstrip('/')}/{name}" for name, namespace in publishers - {this})
+        this = self._node.get_fully_qualified_name()
+        publishers = [
+            f"{entry.node_namespace.rstrip('/')}/{entry.node_name}"
+            for entry in self._node.get_publishers_info_by_topic(_TOPIC)
+        ]
+        if this in publishers:
+            # Another node may have the same name.
+            publishers.remove(this)
+        names = sorted(f"another node {name}" if name == this else name for name in set(publishers))
         if names:
             self._log.warn(
                 "clock",
