@@ -52,14 +52,19 @@ def score(distances: Sequence[Array]) -> Score:
 
 
 def gripper_poses(recording: FitRecording, frames: NDArray[np.float64], names: Sequence[str]) -> Array:
-    """Return commanded gripper positions at times that count frames [m], shape (times, grippers, 3)."""
+    """Return commanded gripper positions at times that count frames [m], shape (times, grippers, 3).
+
+    Before its first target a gripper has that target's position. Each gripper needs a target.
+    """
     positions = np.full((len(recording.events) + 1, len(names), 3), np.nan)
     for n, events in enumerate(recording.events):
         positions[n + 1] = positions[n]
         for event in events:
             if isinstance(event, Target) and event.gripper in names:
                 positions[n + 1, names.index(event.gripper)] = event.position
-    positions[0] = positions[1]
+    for k in range(len(names)):
+        first = int(np.isfinite(positions[:, k, 0]).argmax())
+        positions[:first, k] = positions[first, k]
     at = np.clip(frames, 0.0, len(positions) - 1.0)
     below = np.minimum(np.floor(at).astype(np.int64), len(positions) - 2)
     fraction = (at - below)[:, None, None]

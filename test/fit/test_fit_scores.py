@@ -7,13 +7,28 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cloth_sim_ros.fit.scores import Score, excess_misfit, pooled_score
+from cloth_sim_ros.fit.recording import FitRecording
+from cloth_sim_ros.fit.scores import Score, excess_misfit, gripper_poses, pooled_score
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Target
 
 
 def scores(random: np.random.Generator, scale: float, count: int = 20, spread: float = 0.5) -> list[Score]:
     """Scores of motions by a camera whose error has a size of its own in each motion [m]."""
     sizes = scale * random.uniform(1.0 - spread, 1.0 + spread, size=count)
     return [Score(distances=np.linalg.norm(random.normal(scale=size, size=(200, 3)), axis=1)) for size in sizes]
+
+
+def test_gripper_is_at_its_first_target_before() -> None:
+    # Without, the score of a rigid cloth was NaN.
+    events = ((Target("a", (1.0, 0.0, 0.0)),), (), (Target("b", (5.0, 0.0, 0.0)), Target("a", (3.0, 0.0, 0.0))), ())
+    none = np.zeros(0)
+    recording = FitRecording(
+        name="late", scene=Scene(), state=None, events=events, frames=none, seconds=none, clouds=()
+    )
+    poses = gripper_poses(recording, np.array([0.0, 1.0, 2.5, 4.0]), ["a", "b"])
+    assert poses[:, 0, 0].tolist() == [1.0, 1.0, 2.0, 3.0]
+    assert poses[:, 1, 0].tolist() == [5.0, 5.0, 5.0, 5.0]
 
 
 def test_misfit_beyond_floor_is_its_root_mean_square() -> None:
