@@ -38,7 +38,7 @@ _Case = tuple[int, int, int]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     mode = parser.add_mutually_exclusive_group()
-    mode.add_argument("--regimes", action="store_true", help="evaluate springs and chains of fixed regimes")
+    mode.add_argument("--regimes", action="store_true", help="evaluate springs, chains and pendulums of fixed regimes")
     mode.add_argument("--violent", action="store_true", help="evaluate scenes whose grippers jump with each frame")
     mode.add_argument("--contact", action="store_true", help="evaluate sheets that fall on obstacles and on themselves")
     climb = "search for violations by climbs over families of scenes"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Error bound in fixed regimes: single springs and chains.
+"""Error bound in fixed regimes: single springs, chains and pendulums.
 
 A matrix exponential gives the exact motion of linear systems: springs that stay taut on a line, and joints. The other
 systems are compared with the reference of the random scenes. The amplification of perturbations enters everywhere.
@@ -23,9 +23,12 @@ from validation.case_pool import CasePool
 from validation.report import Report, Table
 from validation.tolerance.random_scenes import RandomScene
 from validation.tolerance.windows import (
+    RecordedRun,
     Window,
     evaluate_window,
     record_run,
+    run_reference,
+    unit_perturbations,
 )
 
 
@@ -113,8 +116,9 @@ class LinearMotion:
 
 
 TOLERANCES = tuple(10.0**-k for k in range(3, 11))
-#: Simulated time [s].
-DURATION = 2.0
+PENDULUM_TOLERANCES = (1e-3, 1e-5, 1e-7)
+#: Simulated time of springs and chains, and of pendulums [s].
+DURATION, PENDULUM_DURATION = 2.0, 60.0
 RATE = 60.0
 #: Largest error that counts as rounding [m].
 ROUNDING_ERROR = 1e-12
@@ -144,6 +148,17 @@ def all_regimes() -> list[Regime]:
         for damping in (0.0, 0.3):
             regimes += [_taut(count, damping), _joints(count, damping), _slack(count, damping)]
     return regimes
+
+
+def pendulums() -> list[Regime]:
+    """Return undamped pendulums, which run for a minute."""
+    return [
+        _pendulum("pendulum of 0.5 m", [0.5], [0.2], 2000.0, angle=1.0),
+        _pendulum("pendulum of 4 m", [4.0], [0.5], 5000.0, angle=0.5),
+        _pendulum("pendulum of 25 m", [25.0], [1.0], 500.0, angle=0.2),
+        _pendulum("pendulum of two, small", [0.5, 0.3], [0.2, 0.1], 2000.0, angle=0.1),
+        _pendulum("weight that bobs", [0.5], [0.2], 50.0, angle=0.0),
+    ]
 
 
 def _spring(name: str, damping: float) -> Regime:
@@ -228,6 +243,20 @@ def _slack(count: int, damping: float) -> Regime:
     return _chain("slack", positions, np.zeros((count, 3)), masses, rest_lengths, rigidity, damping, **more)
 
 
+def _pendulum(name: str, lengths: list[float], masses: list[float], stiffness: float, *, angle: float) -> Regime:
+    along = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    positions = np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * along
+    count = len(positions)
+    tables = {
+        "positions": positions.tolist(),
+        "masses": [1.0, *masses],
+        "springs": [[k, k + 1] for k in range(count - 1)],
+        "rest_lengths": lengths,
+        "stiffness": [stiffness * length for length in lengths],
+    }
+    return Regime(name, tables, ("0",), linear=False, gravity=(0.0, 0.0, -9.81), duration=PENDULUM_DURATION)
+
+
 def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
     """Return a regime as a scene without grippers."""
     values = {
@@ -251,9 +280,9 @@ def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
 class RegimeResult:
     """One regime at one tolerance."""
 
-    #: Largest ratio of error to error bound of its windows.
+    #: Largest ratio of error to error bound of its windows; of a pendulum, at all times.
     ratio: float
-    #: Error over the first second [m], and amplification in it.
+    #: Error over the first second [m], and amplification in it; of a pendulum, over the whole run.
     error: float
     growth: float
     flagged: int
@@ -266,6 +295,8 @@ def evaluate_regime(case: tuple[Regime, float]) -> RegimeResult:
     regime, tolerance = case
     run = record_run(regime_scene(regime, tolerance))
     flagged = sum(frame.advance.flagged > 0 for frame in run.frames)
+    if regime.duration == PENDULUM_DURATION:
+        return _evaluate_pendulum(run, tolerance, flagged)
     frames_per_second = run.draw.frames_per_second
     windows, reference = list[Window](), 0.0
     for first in (0, frames_per_second // 2, frames_per_second):
@@ -282,10 +313,28 @@ def evaluate_regime(case: tuple[Regime, float]) -> RegimeResult:
     return RegimeResult(ratio, windows[0].error, windows[0].amplification, flagged, reference)
 
 
+def _evaluate_pendulum(run: RecordedRun, tolerance: float, flagged: int) -> RegimeResult:
+    """Evaluate a pendulum; the bound at time t is max(1, t) x tolerance x amplification."""
+    runs = [
+        run_reference(run, 0, len(run.frames), unit_perturbations(run, 0, second=k == 1), local)
+        for k, local in enumerate((1e-12, 1e-13))
+    ]
+    amplification, ratio, error, reference = 1.0, 0.0, 0.0, 0.0
+    for frame, (coarse_positions, fine_positions) in enumerate(zip(runs[0].positions, runs[1].positions, strict=True)):
+        amplifications = (float(reference_run.amplifications[frame].max()) for reference_run in runs)
+        amplification = max(amplification, *amplifications)
+        distance = largest_distance(run.positions[frame + 1], fine_positions)
+        seconds = max(1.0, (frame + 1) * run.period)
+        error, ratio = max(error, distance), max(ratio, distance / (seconds * tolerance * amplification))
+        reference = max(reference, largest_distance(coarse_positions, fine_positions))
+    return RegimeResult(ratio, error, amplification, flagged, reference)
+
+
 def regimes(options: argparse.Namespace) -> Report:
     """Evaluate all regimes."""
     report = Report("Error bound in fixed regimes")
     cases = [(regime, tolerance) for regime in all_regimes() for tolerance in TOLERANCES]
+    cases += [(regime, tolerance) for regime in pendulums() for tolerance in PENDULUM_TOLERANCES]
     done = CasePool(options.jobs, options.limit).report(
         evaluate_regime,
         cases,
@@ -303,6 +352,15 @@ def regimes(options: argparse.Namespace) -> Report:
         ),
         _table("Error over the first second [m], ! if it does not fall with the tolerance", names, results, "error"),
     ]
+    minutes = report.add_table(
+        "Undamped for a minute", ["what", "tolerance m", "error m", "g", "ratio", "flagged", "reference m"]
+    )
+    for regime in pendulums():
+        for tolerance in PENDULUM_TOLERANCES:
+            result = results.get((regime.name, tolerance))
+            if result:
+                numbers = [result.error, result.growth, result.ratio, result.flagged, result.reference]
+                minutes.rows.append([regime.name, tolerance, *numbers])
     violated = [(case_key, result) for case_key, result in results.items() if result.ratio > 1.0]
     points = [(name, tolerance) for name in names for tolerance in TOLERANCES]
     risen = [point for point in points if not _error_falls(*point, results)]
