@@ -38,7 +38,7 @@ class Covariance:
 
 
 def jackknife_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
-    """Return the covariance by leaving out each motion in turn (jackknife), in the linearized fit.
+    """Return the covariance of the parameters' logarithms by leaving out each motion in turn (jackknife).
 
     Motions are independent; clouds of a motion may be correlated in any way, and the model may be wrong. Unknowns
     of one motion alone are eliminated before. Deviations are infinite of parameters about which the clouds say nothing

@@ -20,7 +20,7 @@ _OTHER_STEP, _SHORTER = 0.25, 0.7
 
 @attrs.frozen(kw_only=True, eq=False)
 class DifferenceSteps:
-    """Difference steps of the next linearization."""
+    """Difference steps of the parameters' logarithms for a linearization; `next_steps` returns those of the next."""
 
     #: Shape (p,).
     steps: Array

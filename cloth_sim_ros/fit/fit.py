@@ -246,7 +246,7 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
 
 
 def _doubt(problem: FitProblem, run: FitRun, rms: float) -> str:
-    """Return a reason to distrust the standard deviations of a fit that used all clouds; empty if none."""
+    """Return a reason to distrust a fit's standard deviations, or ""; may simulate the recording once more."""
     if problem.sigma is not None and rms > MISFIT_RATIO * problem.sigma:
         return (
             f"the residuals are {rms / problem.sigma:.1f} times the deviation that --sigma gives: the model does not "

@@ -14,7 +14,7 @@ from cloth_sim_ros.session.plurals import pluralize
 
 
 def describe(fit: Fit) -> str:
-    """Return the text report of a fit to one recording, which starts with a table."""
+    """Return the text report of a fit to one recording: summary, table of estimates, explanations."""
     return "\n".join([*_head(fit), "", *estimate_table(fit.estimates, fit.within), *_explanations(fit)])
 
 

@@ -68,7 +68,7 @@ def find_equilibrium(
     max_residual: float = MAX_RESIDUAL,
     max_time: float = 30.0,
 ) -> Equilibrium:
-    """Let the cloth of a scene come to rest in viscous air, on one thread; return its equilibrium.
+    """Relax the cloth of a scene in viscous air, on one thread; return where it ends, at rest if `is_converged`.
 
     Args:
         scene: the cloth; its anchors and obstacles stay where they are.
@@ -77,7 +77,7 @@ def find_equilibrium(
         loading_time: time during which gravity grows from zero to its value [s].
         drag: rate at which the air damps velocities once the load is complete [1/s].
         loading_drag: rate while the load grows [1/s].
-        max_residual: largest residual of the result.
+        max_residual: residual below which the cloth is at rest.
         max_time: simulated time after which the relaxation ends [s].
 
     Raises:

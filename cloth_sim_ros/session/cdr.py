@@ -187,7 +187,7 @@ def decode_mesh(data: bytes | memoryview) -> MeshMessage:
 
 
 class _CdrReader:
-    """Cursor over CDR bytes that aligns numbers and never reads past the end."""
+    """Cursor over CDR bytes that aligns numbers; raises SessionError at the end instead of reading past it."""
 
     __slots__ = ("_data", "_order", "_position", "_type_name")
 

@@ -19,7 +19,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextmanager
 def exit_on_signal(command: str) -> Iterator[None]:
-    """Let SIGINT, SIGTERM and SIGHUP end the process at once, with one line and status 130.
+    """Context in which SIGINT, SIGTERM and SIGHUP end the process at once, with one line and status 130.
 
     For imports: nothing needs cleaning up yet, and an exception during an import would print a traceback or look like a
     missing library. Call from the main thread. Ignored signals stay ignored.

@@ -52,7 +52,7 @@ def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
 
 
 def write(study_folder: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
-    """Write the rows of finished runs as the study's index, atomically.
+    """Write the rows of finished runs as the study's index (Parquet), atomically; replaces the previous one.
 
     Raises:
         FolderError: if the folder can't be written.

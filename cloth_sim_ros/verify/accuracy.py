@@ -112,7 +112,7 @@ class _Certifier:
         self._is_altered = not is_same and self._is_reproduced
 
     def on_frame_end(self) -> None:
-        """Assess the stored frame against the reference solution, after all its messages."""
+        """Assess the frame of this run, stored by `on_frame`, against the reference after all its messages."""
         frame, self._frame = self._frame, None
         self.certificate.altered += self._is_altered
         if frame is not None:

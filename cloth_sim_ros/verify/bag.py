@@ -382,7 +382,7 @@ class _BagRun:
         self._parts.append((min(first, stamp), max(last, stamp)))
 
     def _begin(self, key: _Key, snapshot: BagSnapshot | None) -> None:
-        """Begin a part of the bag: build the simulation from the snapshot before its first record."""
+        """Begin a part of the bag: build the simulation from its snapshot, or report why there is none."""
         findings, self._simulation = self._findings, None
         if snapshot is None:
             frame = self._content.frames[key]

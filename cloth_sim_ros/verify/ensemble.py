@@ -68,7 +68,7 @@ class EnsembleCheck:
             self._is_known = False
 
     def before_frame(self, simulation: Simulation, record: FrameRecord) -> None:
-        """Store scene and state before a frame at which, by its record, the ensemble starts."""
+        """Before each frame: store scene and state if, by its record, the ensemble starts there; else forget them."""
         is_start = record.extras.get(ENTRY) == START
         self._before = (simulation.scene, simulation.state.shallow_copy()) if is_start else None
         self._is_known = self._is_known or is_start

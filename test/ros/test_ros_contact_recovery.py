@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from support.ros_client import Client
 
 from cloth_sim_ros.physics.contact.thickness import RECOVERY_SPEED, START_GAP
 from cloth_sim_ros.ros import main as node_main
+from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
 from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.simulation.events import Event, Grasp, Reset
 
 LYING: dict[str, Any] = {
     "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
@@ -53,6 +56,25 @@ def fastest(cloth: ClockedCloth, thickness: float) -> float:
         speeds.append(np.linalg.norm(simulation.velocities, axis=1).max())
     assert simulation.contact_recovery is None
     return float(max(speeds))
+
+
+@pytest.mark.parametrize(
+    ("events", "expected"),
+    [
+        ((Grasp("g", False),), ["info"]),
+        # Contacts that an earlier frame reduced still recover.
+        ((Grasp("g", True),), []),
+        ((Grasp("g", False), Reset()), ["warn"]),
+    ],
+)
+def test_cause_of_reduced_contacts_is_logged(events: tuple[Event, ...], expected: list[str]) -> None:
+    lines: list[str] = []
+    log: Any = SimpleNamespace(info=lambda *_: lines.append("info"), warn=lambda *_: lines.append("warn"))
+    unused: Any = None
+    simulation: Any = SimpleNamespace(scene=SimpleNamespace(rate=60.0))
+    frame: Any = SimpleNamespace(recovery=SimpleNamespace(describe=str), events=events)
+    ObstacleTopics(unused, simulation, unused, unused, log).log_recovery(frame)
+    assert lines == expected
 
 
 def test_start_within_thickness_is_reported_and_calm(client: Client) -> None:

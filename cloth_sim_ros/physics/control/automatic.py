@@ -35,7 +35,7 @@ INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler
 def make_integrator(
     name: str, *, step: float | None = None, tolerance: float | None = None, work: float = 0.0
 ) -> Integrator:
-    """Create the integrator of a name, with a fixed step [s] or a tolerance [m], and a work limit.
+    """Create the integrator of a name, with a fixed step [s], or else a tolerance [m], and a work limit.
 
     Args:
         name: one of `INTEGRATORS`.

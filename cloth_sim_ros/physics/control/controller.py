@@ -319,7 +319,7 @@ class Controller:
         return self.work.work_of(n_runs, steps, n_pieces) + check
 
     def _clamp(self, stretch: float, max_step: float, reserved: float) -> None:
-        """Reduce number of runs and refinement for a stretch [s] until they fit the work budget.
+        """Reduce `n_runs` and `refinement` for a stretch [s] to the work budget; set `exhausted` if none fit.
 
         Explicit steps are abandoned if the longest stable ones exceed it by more than the cost of implicit steps that
         finish the frame.

@@ -70,7 +70,7 @@ class FrameTotals:
     def add(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, prediction: ErrorPrediction, error: float
     ) -> None:
-        """Add an accepted piece, with its number of runs, its prediction and its error [m]."""
+        """Add the steps, errors [m] and contact energy of a piece; `add_estimate` adds the predicted error."""
         self.n_pieces += 1
         self.steps += sum(tableau.counts[:n_runs])
         self.min_step, self.max_ratio = min(self.min_step, piece.step), max(self.max_ratio, piece.ratio)

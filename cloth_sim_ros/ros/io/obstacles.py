@@ -18,7 +18,7 @@ from cloth_sim_ros.ros.io.messages import wrench_message
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, Output, RecordSink
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.bodies.bodies import solids_and_poses
-from cloth_sim_ros.simulation.events import Move, MoveObstacles, Reset, SetParameters, Target
+from cloth_sim_ros.simulation.events import Grasp, Move, MoveObstacles, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
@@ -89,13 +89,16 @@ class ObstacleTopics:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
 
     def log_recovery(self, frame: Frame) -> None:
-        """Log contacts to which the events of a frame gave a reduced thickness; a warning unless a gripper opened."""
+        """Log the contacts of reduced thickness after a frame whose events may have reduced them.
+
+        A warning if parameters were set or the cloth was reset, an information if a gripper opened.
+        """
         if frame.recovery is None:
             return
         text = frame.recovery.describe()
         if any(isinstance(event, (SetParameters, Reset)) for event in frame.events):
             self._log.warn("contact recovery", f"the cloth is {text}")
-        else:
+        elif any(isinstance(event, Grasp) and not event.closed for event in frame.events):
             self._log.info("contact recovery", f"a gripper opened while it pressed the cloth {text}")
 
     def describe(self) -> dict[str, str]:

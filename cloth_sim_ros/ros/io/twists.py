@@ -148,7 +148,7 @@ class TwistCommands:
 def _pose_after(
     pose: Sequence[float], linear: Sequence[float], angular: Sequence[float], duration: float
 ) -> tuple[list[float], list[float]]:
-    """Return position [m] and orientation of a pose after a motion at velocities [m/s, rad/s] for a time [s]."""
+    """Return position [m] and orientation after velocities [m/s, rad/s] for a time [s]; it turns by 3 rad at most."""
     rotation = [rate * duration for rate in angular]
     shortening = min(_MAX_ROTATION / math.hypot(*rotation), 1.0) if any(rotation) else 1.0
     position = [p + v * duration for p, v in zip(pose[:3], linear, strict=True)]

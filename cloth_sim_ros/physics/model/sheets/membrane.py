@@ -80,7 +80,7 @@ class FabricModuli:
 
     @property
     def coupling_square(self) -> float:
-        """Product ν12 ν21 of Poisson's ratios along warp and weft; at most 1 - 1e-6."""
+        """Product ν12 ν21 of Poisson's ratios along warp and weft; more than 1 - 1e-6 is refused."""
         return self.poisson_ratio * self.poisson_ratio * (self.weft / self.warp)
 
     def stiffness(self) -> tuple[float, float, float, float]:
