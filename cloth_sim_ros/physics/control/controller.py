@@ -22,12 +22,11 @@ from __future__ import annotations
 
 import math
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.description import describe
+from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
 from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
@@ -56,9 +55,6 @@ from cloth_sim_ros.physics.state.controller_state import (
     StabilityState,
 )
 from cloth_sim_ros.physics.state.state import State
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.physics.control.explicit import ExplicitIntegrator
 
 #: Largest number of force evaluations of a displacement by velocities.
 DISPLACEMENT_EVALUATIONS = 9
@@ -94,7 +90,7 @@ class Controller:
     # A plain frame reads each attribute only a few times, and slots are faster then.
     __slots__ = _ATTRIBUTES.split()
 
-    def __init__(self, options: ExplicitIntegrator, plan: Plan, state: State, t: float, duration: float) -> None:
+    def __init__(self, options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float) -> None:
         self.options, self._plan, self._state, self._t0, self._duration = options, plan, state, t, duration
         self._has_tolerance = has_tolerance = options.tolerance is not None
         #: Rejected attempts.

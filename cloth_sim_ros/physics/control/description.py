@@ -1,10 +1,25 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Text on the steps of explicit integrators, for diagnostics."""
+"""Settings of explicit integrators, and the text on their steps for diagnostics."""
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Protocol
+
+
+class ExplicitSettings(Protocol):
+    """Protocol of the settings of an explicit integrator: tolerance, fixed step, number of runs, work limit."""
+
+    name: str
+    tolerance: float | None
+    step: float | None
+    n_runs: int
+    #: Work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
+    work: float
+
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        """Return the largest stable step [s] for a squared frequency [1/s^2] and a damping rate [1/s]."""
 
 
 # Most frames have the steps of the previous one.

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import attrs
 import numpy as np
@@ -23,9 +23,6 @@ from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import THICKNESS_KEY
 from cloth_sim_ros.physics.state.controller_state import ImplicitState as Memory
 from cloth_sim_ros.physics.state.state import State
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.physics.integrators.implicit import Implicit
 
 #: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
 GAMMA = 1.0 - math.sqrt(0.5)
@@ -63,12 +60,21 @@ _MAX_ENERGY_GAIN = 1e-4
 _ROUNDING = 1e-12
 
 
+class ImplicitSettings(Protocol):
+    """Protocol of the settings of the implicit method: name, fixed step [s], tolerance [m], work limit."""
+
+    name: str
+    step: float | None
+    tolerance: float | None
+    work: float
+
+
 class ImplicitAdvance:
     """Computation of one advance by the implicit method: steps, error budget, work limit and counters."""
 
     def __init__(
         self,
-        integrator: Implicit,
+        integrator: ImplicitSettings,
         plan: Plan,
         state: State,
         t: float,
