@@ -50,7 +50,7 @@ def accumulate_runs(
 
 
 def end_correction(plan: Plan, start: State, run: Run, t: float, duration: float, steps: int) -> Array:
-    """Return the end-point correction (Euler-Maclaurin) of each obstacle's work and dissipation [J] in one run.
+    """Return the end-point correction (Euler-Maclaurin) of obstacles' work and dissipation [J], shape (obstacles, 8).
 
     The columns are those of `ContactBinding.wrench_rates`. Wrenches need no correction, because they are means of the
     impulses of the steps.
@@ -73,7 +73,7 @@ def end_correction(plan: Plan, start: State, run: Run, t: float, duration: float
 
 
 def _rate_change(plan: Plan, t: float, x: Array, v: Array, memory: StateMemory, offset: float) -> Array:
-    """Return the change of the obstacles' wrenches and powers from t to t + offset [s] at constant velocities."""
+    """Return the change of obstacles' wrenches and powers (obstacles, 8) from t to t + offset [s] at constant v."""
     contact = plan.contact
     assert contact is not None
     rates = contact.wrench_rates(t, x, v, memory)

@@ -10,7 +10,7 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class EnergyBalance:
-    """Sums of dissipation, and of the work of grippers, obstacles and wind, over advances.
+    """Sums [J] of dissipation, and of the work of grippers, obstacles and wind, over advances.
 
     residual = E - E at the start - work - wind work - recovery work + dissipation. Pass `accumulator` to the
     integrator, then call `close` after the advance.
@@ -41,7 +41,7 @@ class EnergyBalance:
         self._start = self._kinetic + potential
 
     def close(self, t: float, state: State) -> float:
-        """Add the accumulated advance, which ended at time t [s]; return the residual of the energy so far [J]."""
+        """Add the advance in `accumulator`, ended at t [s], and reset it; return the residual energy so far [J]."""
         sums = self.accumulator
         dissipation, work, wind_work, recovery_work = sums.dissipation, sums.work, sums.wind_work, sums.recovery_work
         self.dissipation += dissipation

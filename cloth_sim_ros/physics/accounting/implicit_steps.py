@@ -29,7 +29,7 @@ class ImplicitStep:
 
 
 def _obstacle_impulses(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> Array:
-    """Return impulse and work of each obstacle over a step whose contact force is that at its end.
+    """Return impulse and work of each obstacle, (obstacles, 8), in a step whose contact force is that at its end.
 
     The impulse of the implicit Euler method is h f, and the work is f'w with the displacement w of the obstacle. The
     contact energy is convex; it grows by at most f'(w - h u), and the kinetic energy by at most h f'u. Therefore the
@@ -69,7 +69,7 @@ def _recovery_work(plan: Plan, h: float, step: ImplicitStep, memory: StateMemory
 
 
 def external_work(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> float:
-    """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]."""
+    """Return the work [J] of grippers, obstacles, moving air and growing contacts on the cloth over a step."""
     total = 0.0
     for stage_time, weight, x, v in step.stages:
         total += weight * plan.external_power(stage_time, x, v, memory)

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.state.controller_state import StateMemory
 
 
 class WorkAccumulator:
-    """Accumulator of wrenches, work and dissipation, integrated over time, during an advance.
+    """Accumulator of the wrenches, work and dissipation of one advance, integrated over time; `reset` begins the next.
 
     The integrals have the order of accuracy of the motion itself. Accumulation changes no bit of the motion.
 
@@ -44,11 +44,11 @@ class WorkAccumulator:
         self._sums, self._friction_work, self._recovery_work, self._duration = self._zeros, 0.0, 0.0, 0.0
 
     def save(self) -> tuple[Array, float, float, float]:
-        """Return the present sums for `restore`."""
+        """Return the present sums as an opaque tuple for `restore`."""
         return self._sums, self._friction_work, self._recovery_work, self._duration
 
     def restore(self, saved: tuple[Array, float, float, float]) -> None:
-        """Return to sums that `save` returned, for a new attempt of an interval."""
+        """Replace the sums by those that `save` returned, for a new attempt of an interval."""
         self._sums, self._friction_work, self._recovery_work, self._duration = saved
 
     def add_runs(self, weights: Sequence[float], runs: Sequence[Run], duration: float) -> None:
@@ -76,12 +76,12 @@ class WorkAccumulator:
         self._duration += duration
 
     def add_obstacle_work(self, rates: Array) -> None:
-        """Add integrals of wrench, power and dissipation of each obstacle, shape (obstacles, RECORD_NUMBERS)."""
+        """Add each obstacle's linear and angular impulse, work and dissipation over an interval, (obstacles, 8)."""
         self._sums = self._sums.copy()
         self._obstacle_sums[:] += rates
 
     def add_gripper_impulses(self, impulses: Array) -> None:
-        """Add each gripper's impulse, work and dissipation at a jump of velocities, (grippers, RECORD_NUMBERS)."""
+        """Add each gripper's impulse, work and dissipation at a jump of velocities, shape (grippers, 8)."""
         self._sums = self._sums.copy()
         self._gripper_sums[:] += impulses
 
@@ -124,12 +124,12 @@ class WorkAccumulator:
 
     @property
     def wrenches(self) -> Array:
-        """Mean force [N] and torque [N m] of the cloth on each gripper about its pose, shape (grippers, 6)."""
+        """Mean force [N] and torque [N m] of the cloth on each gripper about its pose, (grippers, 6); 0 at first."""
         return self._mean(self._gripper_sums)
 
     @property
     def obstacle_wrenches(self) -> Array:
-        """Mean force [N] and torque [N m] of the cloth on each obstacle about its position, shape (obstacles, 6)."""
+        """Mean force [N] and torque [N m] of the cloth on each obstacle about its position, (obstacles, 6)."""
         return self._mean(self._obstacle_sums) if self.obstacle_count else self._empty_wrenches
 
     def _mean(self, sums: Array) -> Array:
@@ -176,7 +176,7 @@ def accumulate(
     *,
     record_obstacles: bool = True,
 ) -> None:
-    """Add the wrenches and powers of a state, times a quadrature weight [s], to an accumulator.
+    """Add the wrenches and powers at one point of the motion, times a quadrature weight [s], to an accumulator.
 
     Args:
         sums: the sums.

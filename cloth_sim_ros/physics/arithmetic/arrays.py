@@ -26,7 +26,7 @@ def largest_distance(x: Array, y: Array) -> float:
 
 
 def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
-    """Return the weighted sum of arrays of one shape.
+    """Return the weighted sum of arrays of one shape, as a new array.
 
     Args:
         arrays: the summands, at least one, all of one shape.
@@ -65,5 +65,5 @@ def weighted_dot(masses: Array, a: Array, b: Array) -> float:
 
 
 def largest_component(vectors: Array) -> float:
-    """Return the largest absolute component of vectors, shape (3, n)."""
+    """Return the largest absolute component of vectors, shape (3, n); NaN if one is NaN."""
     return float(np.maximum.reduce(np.abs(vectors), axis=None))  # faster than the method `max`

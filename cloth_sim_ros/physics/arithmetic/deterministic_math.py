@@ -26,7 +26,7 @@ def power(base: float, exponent: int) -> float:
 
 
 def ordered_sum(numbers: Iterable[float], start: float = 0.0) -> float:
-    """Return the sum of numbers, added one after the other.
+    """Return the sum of a start value and numbers, added one after the other.
 
     The built-in ``sum`` of floats compensates rounding errors from Python 3.12 on. Its bits depend on the version.
     """
@@ -39,7 +39,7 @@ def integer_sum(numbers: Iterable[int]) -> int:
 
 
 def row_sum(rows: np.ndarray) -> np.ndarray:
-    """Return the sum of an array over its first axis, added row after row.
+    """Return the sum of an array over its first axis, added row after row; zeros without rows.
 
     numpy's own sum of many rows is pairwise, in blocks that depend on its version.
     """

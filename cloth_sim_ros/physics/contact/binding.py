@@ -107,7 +107,7 @@ class ContactBinding(Uncopyable):
             self._features.upload(force.obstacles, force.thickness)
 
     def upload(self, memory: StateMemory) -> None:
-        """Upload the controls, and a memory's friction anchors, jaws and contact thickness, if they changed.
+        """Upload to the engine the controls, and a memory's anchors, jaws and contact thickness, if they changed.
 
         Arrays are never changed, but replaced. Therefore their identity tells if the engine has them.
 
@@ -179,7 +179,7 @@ class ContactBinding(Uncopyable):
         return np.array([jaw.initial_state for jaw in self.force.jaws]).reshape(self.jaws_shape)
 
     def offset_time(self, duration: float) -> None:
-        """Shift obstacle paths and thickness recovery by a duration [s]: at time t they are as at t plus duration."""
+        """Set the time offset [s] of obstacle paths and thickness recovery: at t they are as at t plus the offset."""
         self._time_offset, self._paths, self._recovery = duration, None, None
 
     @property
@@ -201,17 +201,17 @@ class ContactBinding(Uncopyable):
         return self._features is None or self._features.is_out_of_reach(start, duration, x, v)
 
     def end_buffers(self, runs: int) -> tuple[Array | None, Array | None]:
-        """Allocate arrays for friction anchors and jaws at the ends of runs; None if contact has no such memory."""
+        """Return uninitialized arrays for anchors and jaws at the ends of runs, None for those that contact lacks."""
         anchors = np.empty((runs, *self.anchors_shape)) if self.force.has_anchors else None
         return anchors, np.empty((runs, *self.jaws_shape)) if self.force.jaws else None
 
     def combine_jaws(self, runs: Sequence[Run], weights: Sequence[float]) -> Array | None:
-        """Return the weighted combination of the runs' jaw states; None if no gripper pinches."""
+        """Return the weighted combination of the runs' jaw states, shape (pinches, 2); None if no gripper pinches."""
         ends = [run.jaw_states for run in runs if run.jaw_states is not None]
         return combine(ends, weights) if ends else None
 
     def jaw_accelerations(self, t: float, x: Array, v: Array, memory: StateMemory) -> Array:
-        """Return the accelerations [m/s^2] of the jaws' half openings, shape (pinches,)."""
+        """Return the accelerations [m/s^2] of the jaws' half openings at time t [s], shape (pinches,)."""
         self.upload(memory)
         out = np.empty(len(self.force.jaws))
         addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape), address(out)
@@ -239,14 +239,14 @@ class ContactBinding(Uncopyable):
         return ends
 
     def friction_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
-        """Return the power [W] that friction between layers of the cloth dissipates at time t [s]."""
+        """Return the power [W] that friction between layers of the cloth dissipates at time t [s]; 0 without it."""
         if not self.force.has_self_friction:
             return 0.0
         self.upload(memory)
         return self_contact_binding.friction_power(self._handle, t, x, v)
 
     def recovery_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
-        """Return the power [W] on the cloth, at time t [s], of contacts that regain their thickness."""
+        """Return the power [W] on the cloth, at time t [s], of contacts that regain their thickness; 0 if none does."""
         if THICKNESS_KEY not in memory:
             return 0.0
         self.upload(memory)
@@ -258,7 +258,7 @@ class ContactBinding(Uncopyable):
     def combine_anchors(
         self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float], memory: StateMemory
     ) -> Array:
-        """Combine the friction anchors at the ends of runs by weights, and return them to the cone of friction.
+        """Return friction anchors of combined runs: weighted means, projected onto the cone of friction.
 
         Args:
             t: time of the combined state [s].
@@ -277,7 +277,7 @@ class ContactBinding(Uncopyable):
         return out
 
     def update_after_step(self, t: float, h: float, state: State) -> None:
-        """Update jaws and friction anchors of a state after an implicit step that held them constant.
+        """Replace jaws and anchors in a state's memory after an implicit step that held them constant.
 
         Args:
             t: time at the end of the step [s].
@@ -304,7 +304,7 @@ class ContactBinding(Uncopyable):
     def predict_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict bounds of contact's squared frequency and damping rate, and its operations, within a duration [s].
+        """Predict contact's bounds (squared frequency, damping rate) and its operations; refuse cloth inside obstacles.
 
         The bounds hold after contact has taken up the energy of all present contacts, and of those that begin by then.
 
@@ -339,7 +339,7 @@ class ContactBinding(Uncopyable):
     def predict_surface_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float]:
-        """Predict bounds of squared frequency and damping rate of contact of the cloth's triangles and edges alone.
+        """Predict bounds (squared frequency, damping rate) of contact of the cloth's triangles and edges alone.
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
@@ -347,7 +347,7 @@ class ContactBinding(Uncopyable):
         return self._predict_surface_contact(t, duration, x, v, memory)[:2]
 
     def operation_count(self, t: float, duration: float, state: State) -> float:
-        """Return the number of operations that contact adds to each force evaluation within a duration [s]."""
+        """Predict the number of operations that contact adds to each force evaluation within a duration [s]."""
         _, n_particles, n_friction = self._predict_obstacle_contact(t, duration, state.x, state.v, state.memory)
         n_pairs = self._predict_surface_contact(t, duration, state.x, state.v, state.memory)[2]
         return PARTICLE_OPERATIONS * n_particles + FRICTION_OPERATIONS * n_friction + PAIR_OPERATIONS * n_pairs
@@ -385,7 +385,7 @@ class ContactBinding(Uncopyable):
     def _predict_obstacle_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
     ) -> tuple[float, float, float]:
-        """Predict contact energy per mass at obstacles, and numbers of particles in reach of all and of rough ones."""
+        """Predict energy per mass at obstacles, and numbers of particles that reach one, and one with friction."""
         if not self.count:
             return 0.0, 0.0, 0.0
         self.upload(memory)
@@ -401,13 +401,13 @@ class ContactBinding(Uncopyable):
         return self._out[0], self._out[1]
 
     def contact_energy(self, gap: float) -> float:
-        """Return the energy per mass (unit U^2/2 of the contact law) of a contact at a gap [m]; infinite at 0."""
+        """Return the energy per mass (unit U^2/2 of the contact law) of a contact at a gap [m]; infinite up to 0."""
         s = min(max(gap / self.force.thickness, 0.0), 1.0)
         squared = (1.0 - s) * (1.0 - s)
         return squared * squared / s if s else math.inf
 
     def wrench_rates(self, t: float, x: Array, v: Array, memory: StateMemory, weight: float = 1.0) -> Array:
-        """Return the wrench of the cloth on each obstacle, the obstacle's power on the cloth, and the dissipation.
+        """Return per obstacle, (obstacles, 8): wrench of the cloth on it, its power on the cloth, and the dissipation.
 
         Args:
             t: time [s].
@@ -427,7 +427,7 @@ class ContactBinding(Uncopyable):
         return out
 
     def obstacle_gaps(self, t: float, x: Array, memory: StateMemory) -> Array:
-        """Return for each obstacle the number of particles within the thickness and the least gap [m], (obstacles, 2).
+        """Return per obstacle the number of particles within the thickness and the least gap [m], (obstacles, 2).
 
         The gap is infinite if no particle is free.
         """
@@ -437,7 +437,7 @@ class ContactBinding(Uncopyable):
         return out
 
     def contact_gaps(self, t: float, x: Array, memory: StateMemory) -> Array:
-        """Return the gap [m] of each contact, shape (obstacles + 1, particles + 1); infinite without contact.
+        """Return the gap [m] of each contact, in shape `thickness_shape`; infinite without contact.
 
         Gaps of edges are doubled, because edges have half the thickness.
         """
@@ -455,7 +455,7 @@ class ContactBinding(Uncopyable):
         return int(out[0]), float(out[1])
 
     def add_bounds(self, t: float, x: Array, stiff: Array, damped: Array, memory: StateMemory) -> None:
-        """Add particle blocks (6, n) that bound the stiffness [N/m] and damping [N s/m] of contact."""
+        """Add blocks (6, n) that bound stiffness [N/m] and damping [N s/m] of contact to `stiff` and `damped`."""
         self.upload(memory)
         shape = (6, self._shape[1])
         position_address = float64_address("x", x, self._shape)
@@ -481,7 +481,7 @@ class ContactBinding(Uncopyable):
         return bool(out[0]) or self.ccd_surface_hits(t, duration, start, end, memory)
 
     def check_initial_penetration(self, t: float, x: Array, memory: StateMemory) -> None:
-        """Raise an error if an obstacle comes through the cloth between particles, or the cloth through itself.
+        """Raise ValueError if an obstacle comes through the cloth between particles, or the cloth through itself.
 
         See `initial_penetration`.
         """

@@ -62,7 +62,7 @@ class FeatureBinding(Uncopyable):
         return bool(out[0])
 
     def ccd_jaw_hits(self, t: float, x: Array, half_openings: Array) -> NDArray[np.bool_]:
-        """Return for each pinching gripper if a jaw passes through the cloth as it moves to its present half opening.
+        """Return a mask (pinches,): true if a jaw crosses the cloth on a straight path to its present half opening.
 
         Args:
             t: time [s].
@@ -79,7 +79,7 @@ class FeatureBinding(Uncopyable):
         return out != 0
 
     def find_penetration(self, t: float, x: Array) -> tuple[int, int, int]:
-        """Return the first obstacle that penetrates the cloth at time t [s], or -1, and two particles near it."""
+        """Return the index of the first obstacle that penetrates the cloth at t, or -1, and two particles near it."""
         out = np.empty(3, dtype=np.int64)
         check(
             self._library.cloth_feature_intersection(
@@ -90,7 +90,7 @@ class FeatureBinding(Uncopyable):
         return obstacle, a, b
 
     def check_initial_penetration(self, t: float, x: Array, names: Sequence[str]) -> None:
-        """Raise an error if a corner or edge of an obstacle comes through the cloth at time t [s].
+        """Raise ValueError if a corner or edge of an obstacle comes through the cloth at time t [s].
 
         Raises:
             ValueError: for such a cloth, naming the obstacle, the particles and the position.
@@ -106,7 +106,7 @@ class FeatureBinding(Uncopyable):
 
 
 def upload_meshes(handle: int, obstacles: Sequence[Obstacle]) -> None:
-    """Upload the meshes of those obstacles that have one."""
+    """Upload to a plan in the engine the meshes of those obstacles that have one."""
     for k, obstacle in enumerate(obstacles):
         vertices, triangles = obstacle.vertices, obstacle.triangles
         if vertices is not None and triangles is not None:

@@ -24,7 +24,7 @@ def step_jaws(
     accelerations: Callable[[Array], Array],
     find_hits: Callable[[Array, Array], NDArray[np.bool_]] | None,
 ) -> Array:
-    """Return half openings and speeds of jaws after an implicit Euler step, given the cloth at its end.
+    """Return jaw states (pinches, 2) after an implicit Euler step, given the cloth at its end.
 
     The load of cloth and stops grows with the half opening's displacement. Therefore one jaw speed is consistent with
     the speed before and the load. Bisection between the stops finds it.

@@ -26,7 +26,7 @@ _REMEDY = "start from another state, or set contact.self to false"
 
 
 def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]) -> None:
-    """Raise an error if the cloth is inside an obstacle at time t [s]: if its gap to one is not positive.
+    """Raise ValueError if the cloth is inside an obstacle at time t [s]: if its gap to one is not positive.
 
     Args:
         t: time [s].
@@ -45,7 +45,7 @@ def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]
 
 
 def find_self_intersection(engine_plan: PlanHandle, x: Array) -> list[int] | None:
-    """Return the particles of the first edge and triangle of the cloth that intersect; None if there is none.
+    """Return five particles: the first edge and triangle of the cloth that intersect; None if there are none.
 
     An edge that shares a corner with the triangle does not count.
 
@@ -63,7 +63,7 @@ def find_self_intersection(engine_plan: PlanHandle, x: Array) -> list[int] | Non
 
 
 def check_initial_penetration(engine_plan: PlanHandle, surface: ContactSurface, thickness: float, x: Array) -> None:
-    """Raise an error if the cloth intersects itself, or is closer to itself than the least gap of a start.
+    """Raise ValueError if the cloth intersects itself, or is closer to itself than the least gap of a start.
 
     Args:
         engine_plan: handle of the engine's plan, which has the surface.
@@ -95,7 +95,7 @@ def check_initial_penetration(engine_plan: PlanHandle, surface: ContactSurface, 
 
 
 def _describe_nearest(engine_plan: PlanHandle, surface: ContactSurface, x: Array) -> str:
-    """Describe the position of the least gap of the cloth to itself, as part of a sentence."""
+    """Describe the position of the least gap of the cloth to itself, for an error text."""
     stiff, damped = np.zeros((6, x.shape[1])), np.zeros((6, x.shape[1]))
     addresses = float64_address("x", x, x.shape), address(stiff), address(damped)
     check(library().cloth_self_bounds(engine_plan.pointer, 0.0, *addresses))

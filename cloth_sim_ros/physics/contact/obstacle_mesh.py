@@ -18,7 +18,7 @@ _MAX_PRODUCTS = 1 << 18
 
 
 def check_closed(vertices: Array, triangles: NDArray[np.int64], max_coordinate: float) -> None:
-    """Raise an error if a mesh is open, degenerate or inside out.
+    """Raise ValueError if a mesh is open, degenerate or inside out.
 
     Args:
         vertices: positions [m], shape (m, 3).
@@ -114,7 +114,7 @@ def _connected_pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[
 
 
 def mesh_distance(points: Array, vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return signed distances of points from a closed mesh, negative inside, and outward unit normals.
+    """Return signed distances [m] of points from a closed mesh, negative inside, and outward unit normals.
 
     Args:
         points: positions [m], shape (m, 3).

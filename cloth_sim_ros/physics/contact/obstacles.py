@@ -64,7 +64,7 @@ class Obstacle:
     triangles: NDArray[np.int64] | None = attrs.field(default=None, converter=_faces, repr=False)
 
     def __attrs_post_init__(self) -> None:
-        """Refuse invalid obstacles."""
+        """Raise ValueError for an invalid obstacle."""
         if self.shape not in SHAPES:
             raise ValueError(f"{self._label} is a '{self.shape}'; it must be one of {', '.join(SHAPES)}")
         self._check_size()
@@ -121,7 +121,7 @@ class Obstacle:
         return math.sqrt(float(_squares(self.vertices).max()))
 
     def distance(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Return signed distances of points (in the obstacle's frame), negative inside, and outward unit normals.
+        """Return signed distances [m] of points in the obstacle's frame, negative inside, and outward unit normals.
 
         Args:
             points: positions in the obstacle's frame [m], shape (m, 3).

@@ -51,7 +51,7 @@ class ParallelJaw:
     inertia: float
 
     def __attrs_post_init__(self) -> None:
-        """Refuse quantities that are not above 0, and invalid boxes."""
+        """Raise ValueError for quantities that are not above 0, and for invalid boxes."""
         units = {"force": "N", "speed": "m/s", "opening": "m", "inertia": "kg"}
         for name, unit in units.items():
             quantity = getattr(self, name)
@@ -78,7 +78,7 @@ class ParallelJaw:
         return math.sqrt(0.25 * (x * x + z * z) + extent * extent)
 
     def with_limits(self, force: float, speed: float) -> ParallelJaw:
-        """Return the jaws with force [N] and speed [m/s] limited to these values; 0 stands for no limit."""
+        """Return jaws whose force [N] and speed [m/s] are at most these values, 0 for no limit; inertia follows."""
         new_force, new_speed = min(force or self.force, self.force), min(speed or self.speed, self.speed)
         if (new_force, new_speed) == (self.force, self.speed):
             return self
@@ -105,7 +105,7 @@ class ParallelJaw:
     def engine_row(
         self, present: bool, closed: bool, setpoint: Sequence[float] = NO_SETPOINT, thickness: float = 0.0
     ) -> tuple[float, ...]:
-        """Return jaws and drive as a row for the engine: flags, inertia, force, speed, half openings, thickness.
+        """Return an engine row (8): two flags, inertia, force, speed, outer stop, half a jaw's width, inner stop.
 
         Args:
             present: true if the gripper has a pose.

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 
 
 def upload_surface(handle: int, contact: Contact) -> None:
-    """Upload the surface of self-contact, its joints and the friction between its layers, if there are any."""
+    """Upload the surface of self-contact, its joints and the friction between its layers to a plan; none without it."""
     surface = contact.surface
     if surface is None:
         return
@@ -26,7 +26,7 @@ def upload_surface(handle: int, contact: Contact) -> None:
 
 
 def check_anchors(contact: Contact, anchors: Array) -> None:
-    """Raise an error if a friction anchor between layers is in a triangle that the cloth does not have.
+    """Raise ValueError if a friction anchor between layers is in a triangle that the cloth does not have.
 
     Args:
         contact: the force.

@@ -46,7 +46,7 @@ def is_closed(vertices: Array, triangles: NDArray[np.int64]) -> bool:
 
 
 def drop_unused_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Remove vertices (m, 3) [m] that no triangle (t, 3) uses; return vertices and renumbered triangles."""
+    """Return the vertices [m] of (m, 3) that triangles (t, 3) use, and the renumbered triangles."""
     used = np.unique(triangles)
     new_index = np.zeros(len(vertices), dtype=np.int64)
     new_index[used] = np.arange(len(used))
@@ -56,7 +56,7 @@ def drop_unused_vertices(vertices: Array, triangles: NDArray[np.int64]) -> tuple
 def close_solid(
     vertices: Array, triangles: NDArray[np.int64], limit: float
 ) -> tuple[Array, NDArray[np.int64], tuple[str, ...]]:
-    """Close rounding gaps of a mesh by merging, joining and splitting; return vertices, triangles and notes.
+    """Return a mesh with its rounding gaps closed, if possible: vertices, triangles, and a sentence on each change.
 
     Args:
         vertices: positions [m], shape (m, 3).
@@ -86,7 +86,7 @@ def close_solid(
 def _join_flat_triangles(
     vertices: Array, triangles: NDArray[np.int64], limit: float, *, height: float
 ) -> tuple[NDArray[np.int64], list[str]]:
-    """Join flat triangles, and those of at most a height [m], to their neighbours; return a sentence on each change."""
+    """Join flat triangles, and those of at most a height [m], to neighbours; return triangles and notes on changes."""
     n_flat = n_split = 0
     for _ in range(_MAX_ROUNDS):
         if not len(triangles):
@@ -126,7 +126,7 @@ def _is_flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> ND
 
 
 def _remove_duplicates(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Remove triangles with a repeated corner, pairs that lie back to back, and copies."""
+    """Return triangles without those of a repeated corner, without pairs that lie back to back, and without copies."""
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
     # Rotated so that the lowest corner comes first.
@@ -160,7 +160,7 @@ def _collapse_needles(vertices: Array, triangles: NDArray[np.int64], height: flo
 
 
 def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
-    """Split open edges at border vertices on them, one side a triangle; return triangles and number of edges."""
+    """Split open edges at border vertices on them, one a triangle; return triangles and number of split edges."""
     if not len(triangles):
         return triangles, 0
     count = len(vertices)

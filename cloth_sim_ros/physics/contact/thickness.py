@@ -77,7 +77,7 @@ def relative_growth(reduced: Array, after: Array) -> float:
 
 
 def check_gaps(gaps: Array, thickness: float, names: Sequence[str]) -> None:
-    """Raise an error if a contact's gap is below the least gap, a fraction of the full thickness.
+    """Raise ValueError if a contact's gap is below the least gap, a fraction of the full thickness.
 
     Args:
         gaps: gap of each contact [m], see `ContactBinding.contact_gaps`.

@@ -40,7 +40,7 @@ class Grasps:
 
     @property
     def prescribed_particles(self) -> NDArray[np.int64]:
-        """Grasped particles that follow their points on the gripper exactly, ascending."""
+        """Grasped particles that follow their points on the gripper exactly, ascending; sorted at first access."""
         cached: NDArray[np.int64] | None = self.__dict__.get("_prescribed_particles")
         if cached is None:
             selected = self.particles[:0] if self.prescribed is None else self.particles[self.prescribed]
@@ -48,7 +48,7 @@ class Grasps:
         return cached
 
     def gripper_indices(self, gripper_count: int) -> NDArray[np.int64]:
-        """Return the gripper index of each grip, shape (m,).
+        """Return the gripper index of each grip, shape (m,); check `starts`.
 
         Raises:
             ValueError: for starts that do not ascend from 0.
@@ -108,7 +108,7 @@ class GripControls(NamedTuple):
 
 
 class ThicknessRecovery(NamedTuple):
-    """Recovery of a reduced contact thickness: start time, duration, and thickness at both ends."""
+    """Recovery of a reduced contact thickness: start time, duration, and thickness at its end and its start."""
 
     #: Its start and its duration [s].
     t: float = 0.0
@@ -119,7 +119,7 @@ class ThicknessRecovery(NamedTuple):
 
 
 class ContactControls(NamedTuple):
-    """Inputs of a frame for contact: paths of obstacles and jaws, jaw commands, recovery of thickness."""
+    """Inputs of a frame for contact: paths of obstacles and jaws, jaw commands, recovery, setpoints, far obstacles."""
 
     #: Path of each obstacle, then the gripper's path for each jaw, shape (m, PATH_NUMBERS), see `Grips`.
     paths: Array

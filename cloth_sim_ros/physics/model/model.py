@@ -64,7 +64,7 @@ class Model:
         return fixed_sum(self.masses)
 
     def force(self, name: str) -> Force:
-        """Return the force of the model that has this name.
+        """Return the model's force of this name; raise KeyError if it has none.
 
         Raises:
             KeyError: if the model has no such force.

@@ -30,5 +30,5 @@ def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int
 
 
 def bandwidth(pairs: NDArray[np.int64]) -> int:
-    """Return the largest difference of the indices of two particles that interact; pairs have shape (m, 2)."""
+    """Return the largest index difference of two interacting particles, for pairs (m, 2); 0 without pairs."""
     return int(np.abs(pairs[:, 1] - pairs[:, 0]).max(initial=0))

@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 
 
 class HasMemory(Protocol):
-    """Protocol of a state with a dictionary of named arrays."""
+    """Protocol of a state with `memory`, a dictionary of named arrays."""
 
     memory: dict[str, np.ndarray]
 
@@ -33,17 +33,17 @@ class ControllerState:
 
     @classmethod
     def load(cls, state: HasMemory) -> Self:
-        """Read the controller's numbers from a state's memory; return defaults if it has none."""
+        """Return an instance with the numbers from a state's memory; with defaults if they are missing or empty."""
         stored = state.memory.get(cls.key)
         return cls() if stored is None else cls(*stored.tolist())  # an empty array gives defaults, too
 
     def store(self, state: HasMemory) -> None:
-        """Write the controller's numbers into a state's memory."""
+        """Write the numbers into a state's memory, as a new array under `key`."""
         state.memory[self.key] = np.array(_value_getter(self.__class__)(self))  # type: ignore[arg-type]
 
     @classmethod
     def check(cls, array: np.ndarray) -> None:
-        """Raise an error if `store` cannot have written an array: type, shape, or a number out of range.
+        """Raise ValueError if `store` cannot have written an array: type, shape, or a number out of range.
 
         Raises:
             ValueError: naming the number and its fault.
@@ -75,7 +75,7 @@ def _value_getter(rule: Any) -> Callable[[Any], Any]:
 
 
 def bounded_number(default: float, *, minimum: float = -math.inf, is_later: bool = False) -> Any:
-    """Declare an attrs field with default and minimum; a later field may be missing in states of older versions."""
+    """Declare an attrs field with a minimum that `check` enforces; a later field may be missing in older states."""
     return attrs.field(default=default, metadata={"minimum": minimum, "is_later": is_later})
 
 
@@ -306,12 +306,12 @@ LEGACY_KEYS = (
 
 
 def with_jaws(memory: StateMemory, jaws: np.ndarray | None) -> StateMemory:
-    """Return a copy of a state's memory with other jaw states; None keeps them."""
+    """Return a new memory of a state with other jaw states, (pinches, 2); the memory itself if these are None."""
     return memory if jaws is None else {**memory, JAWS_KEY: jaws}
 
 
 def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
-    """Return a state's memory with jaws moved at their speeds for a duration [s], which may be negative."""
+    """Return a memory whose jaws moved at their speeds for a duration [s], which may be negative."""
     jaws = memory.get(JAWS_KEY)
     if jaws is None:
         return memory
@@ -319,7 +319,7 @@ def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
 
 
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
-    """Reset step control after an event: the next advance estimates its error, and `auto` compares integrators again.
+    """Reset a state's step control after an event: the next advance estimates its error, `auto` compares integrators.
 
     Args:
         state: its controller states become empty arrays.

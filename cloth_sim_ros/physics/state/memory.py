@@ -47,7 +47,7 @@ _OBSTACLES: _Table = {
 
 
 def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
-    """Raise an error if a known array of a state's memory has wrong type, shape or range; unknown names pass.
+    """Raise ValueError if a known array of a state's memory has wrong type, shape or range; unknown names pass.
 
     The arrays of grippers and grips occur together, or none of them; so do those of obstacles.
 
@@ -133,7 +133,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
 def _check_table(
     contents: str, memory: Mapping[str, np.ndarray], table: _Table, length_arrays: Mapping[str, str]
 ) -> bool:
-    """Check type and shape of arrays of which a memory has all or none; return true if it has them.
+    """Raise ValueError unless a memory has all arrays of a table, with type and shape, or none; return true if all.
 
     Args:
         contents: their owner, for messages.

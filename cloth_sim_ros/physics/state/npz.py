@@ -41,7 +41,7 @@ _DAMAGE = (
 
 
 def read(data: bytes) -> dict[str, np.ndarray]:
-    """Return the arrays of an .npz file by name.
+    """Return the arrays of an .npz file by name, from its bytes; refuse damaged, large or pickled ones.
 
     Raises:
         ValueError: if the bytes are no .npz file, or if it contains objects.
@@ -65,7 +65,7 @@ def read(data: bytes) -> dict[str, np.ndarray]:
 
 
 def _check_sizes(data: bytes) -> None:
-    """Raise an error if the arrays of an .npz file need too much memory, before any is read."""
+    """Raise ValueError if the arrays of an .npz file are too large or compressed unlike numpy's; read none."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
     size = integer_sum(entry.file_size for entry in entries)

@@ -94,14 +94,14 @@ class State:
         return np.ascontiguousarray(self.v.T)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return all arrays of the state by name, in the fixed order of the digest."""
+        """Return all arrays of the state by name, uncopied, in the fixed order of the digest."""
         arrays = {_FRAME: np.array(self.frame, dtype=np.int64), _POSITION: self.x, _VELOCITY: self.v}
         for name in sorted(self.memory):
             arrays[_MEMORY + name] = self.memory[name]
         return arrays
 
     def copy(self) -> State:
-        """Return an independent copy, arrays included."""
+        """Return an independent copy of all fields, arrays included."""
         twin = self.shallow_copy()
         twin.x, twin.v = self.x.copy(), self.v.copy()
         twin.memory = {name: array.copy() for name, array in self.memory.items()}
@@ -127,7 +127,7 @@ class State:
         self.memory = dict(source.memory)
 
     def restore_motion(self, start: State) -> None:
-        """Return to another state's positions, velocities, anchors, jaws and plastic lengths, sharing its arrays."""
+        """Take over positions, velocities, anchors, jaws and plastic lengths of another state, sharing its arrays."""
         self.x, self.v = start.x, start.v
         for name in (ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY):
             self.memory.pop(name, None)
@@ -135,7 +135,7 @@ class State:
                 self.memory[name] = start.memory[name]
 
     def restore(self, source: State) -> None:
-        """Copy positions, velocities, frame number and memory from another state."""
+        """Copy positions, velocities, frame number and memory from another state into this one."""
         self.x = source.x.copy()
         self.v = source.v.copy()
         self.frame = source.frame
@@ -173,7 +173,7 @@ class State:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> State:
-        """Read a state from the bytes of `to_bytes`.
+        """Return the state that `to_bytes` wrote; raise ValueError for other bytes.
 
         Raises:
             ValueError: if the bytes are no state; the message names the array and the fault.
@@ -201,7 +201,7 @@ class State:
 
 
 def _check_core(frame: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
-    """Check type and shape of a state file's frame number, positions and velocities; not their entries."""
+    """Raise ValueError for wrong type or shape of a file's frame number, positions or velocities; ignore entries."""
     if frame.dtype != np.int64 or frame.shape != ():
         raise ValueError(
             f"array '{_FRAME}' is of type {frame.dtype} and shape {frame.shape}; it must be a single int64"

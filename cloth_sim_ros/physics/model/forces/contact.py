@@ -21,7 +21,7 @@ from cloth_sim_ros.physics.model.sheets.merging import component_labels
 
 
 class ContactSurface:
-    """A surface of the cloth that neither the cloth nor obstacles may pass through.
+    """Surface of the cloth that neither the cloth nor obstacles may pass through.
 
     Args:
         triangles: its triangles, shape (m, 3).
@@ -158,7 +158,7 @@ class Contact(EngineForce):
         self.controls = ContactControls(paths, np.zeros((len(self.jaws), 2), dtype=bool))
 
     def set_paths(self, paths: Array) -> None:
-        """Set the paths of obstacles and jaws for the next frame, shape (m, PATH_NUMBERS)."""
+        """Set the paths of obstacles and jaws from the next frame on, shape (m, PATH_NUMBERS)."""
         self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
@@ -168,7 +168,7 @@ class Contact(EngineForce):
     def start_recovery(
         self, t: float, duration: float = 0.0, thickness: Array | None = None, start: Array | None = None
     ) -> None:
-        """Start the growth of a reduced contact thickness from `start` to `thickness` [m] over a duration [s].
+        """Start growth of the contact thickness from `start` to `thickness` [m] in a duration [s]; None ends it.
 
         Args:
             t: start of the recovery [s].

@@ -45,7 +45,7 @@ class Force:
         adopt_old_methods(cls, supply="external_power")
 
     def parts(self, particle_count: int) -> Sequence[Part] | None:
-        """Describe the force to the engine by parts (springs, hinges, uniform, contact); None for a Python force.
+        """Return the force's parts for the engine (springs, hinges, uniform, contact); None for a Python force.
 
         Raises:
             ValueError: if the force does not fit the number of particles.
@@ -57,19 +57,19 @@ class Force:
         return True
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
-        """Add the force on each particle [N] at time t [s] to ``f`` (3, n)."""
+        """Add the force on each particle [N] at time t [s] to ``f`` (3, n); a Python force has to override it."""
         raise NotImplementedError(f"force '{self.name}' has neither parts nor add_force")
 
     def energy(self, t: float, x: Array) -> float:
-        """Return the potential energy [J] whose negative gradient is the elastic part of the force."""
+        """Return the potential energy [J] whose negative gradient is the elastic part of the force; 0 by default."""
         return 0.0
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:
-        """Return the power that damping dissipates [W]."""
+        """Return the power that damping dissipates [W]; 0 by default."""
         return 0.0
 
     def external_power(self, t: float, x: Array, v: Array) -> float:
-        """Return the power [W] that the force adds from outside, as wind does; without elastic and dissipated power."""
+        """Return the power [W] that the force adds from outside, as wind does; 0 by default."""
         return 0.0
 
     def add_stiffness(self, x: Array, blocks: Array) -> None:
@@ -87,7 +87,7 @@ class EngineForce(Force):
 
     @abstractmethod
     def parts(self, particle_count: int) -> Sequence[Part]:
-        """Describe the force to the engine by parts: element lists, spring grids, uniform forces, contact.
+        """Return the force's parts for the engine: element lists, spring grids, uniform forces, contact.
 
         Raises:
             ValueError: if the force does not fit the number of particles.

@@ -62,7 +62,7 @@ class Grips(EngineForce):
         damping: Array,
         prescribed: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Set paths, grasped particles and their springs: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
+        """Set copies of paths, grasped particles and springs: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
 
         Args:
             paths: paths of the grippers, shape (gripper_count, PATH_NUMBERS).
@@ -84,7 +84,7 @@ class Grips(EngineForce):
         self.controls = GripControls(np.array(paths, dtype=np.float64), grasps)
 
     def set_paths(self, paths: Array) -> None:
-        """Set the grippers' paths for the next frame, shape (gripper_count, PATH_NUMBERS); the grips stay."""
+        """Set the grippers' paths from the next frame on, shape (gripper_count, PATH_NUMBERS); the grips stay."""
         self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def save(self) -> GripControls:
@@ -100,7 +100,7 @@ class Grips(EngineForce):
         return ()
 
     def gripper_indices(self) -> NDArray[np.int64]:
-        """Return the gripper index of each grip, shape (m,).
+        """Return the gripper index of each grip, shape (m,); check `starts`.
 
         Raises:
             ValueError: for starts that do not ascend from 0.

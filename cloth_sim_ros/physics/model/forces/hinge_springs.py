@@ -80,7 +80,7 @@ def signed_lengths(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
 
 
 def gradient_squares(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
-    """Return |dh/dx|^2 of each hinge's signed length h with respect to each of its four particles, shape (m, 4)."""
+    """Return |dh/dx|^2 of each hinge's signed length h at x (3, n), for each of its four particles, shape (m, 4)."""
     return _lengths(hinges, x, kind)[1]
 
 

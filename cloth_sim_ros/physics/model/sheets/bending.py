@@ -134,7 +134,7 @@ def bending_terms(
     shape: HingeShape | None = None,
     weights: Array | None = None,
 ) -> list[PairSprings | HingeSprings | QuadraticHinges]:
-    """Return the forces of a sheet's bending springs for a bending model.
+    """Return the forces of a bending model as a list: S7 alone, S7 and then S8 or S9, or quadratic hinges.
 
     `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9, `quadratic` has quadratic hinges alone.
 
@@ -197,7 +197,7 @@ def bending_terms(
 
 
 def check_flat(hinges: NDArray[np.int64], shape: HingeShape, subject: str) -> None:
-    """Raise an error if a hinge (m, 4) is folded at rest, for bending models that are flat at rest.
+    """Raise ValueError if a hinge (m, 4) is folded at rest, for bending models that are flat at rest.
 
     Args:
         hinges: particles of the hinges.
@@ -308,7 +308,7 @@ def added_membrane_stiffness(springs: PairSprings, positions: ArrayLike, *, area
 
 
 def refuse_bending_modulus(model: str) -> None:
-    """Raise the error that the bending models `axial` and `opposite` have no bending modulus.
+    """Raise ValueError, always: the bending models `axial` and `opposite` have no bending modulus.
 
     Raises:
         ValueError: always.

@@ -36,7 +36,7 @@ class SpringLaw:
     viscosity: float = 0.0
 
     def __attrs_post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise ValueError for numbers out of range, or if both k_d0 and viscosity are given."""
         for name in ("mass", "rest_length", "stiffness"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
@@ -103,7 +103,7 @@ class Chain:
     half_ends: bool = True
 
     def __attrs_post_init__(self) -> None:
-        """Refuse invalid values."""
+        """Raise ValueError for fewer than two particles, or for an unknown `anchored`."""
         if self.particle_count < 2:
             raise ValueError(f"particle_count is {self.particle_count}; a chain has at least 2")
         if self.anchored not in ("none", "first", "last", "both"):
@@ -121,14 +121,14 @@ class Chain:
         return {"none": [], "first": [0], "last": [last], "both": [0, last]}[self.anchored]
 
     def masses(self) -> Array:
-        """Particle masses [kg], halved at the ends if `half_ends`, shape (particle_count,)."""
+        """Return particle masses [kg], halved at the ends if `half_ends`, shape (particle_count,)."""
         masses = np.full(self.particle_count, self.law.mass)
         if self.half_ends:
             masses[[0, -1]] *= 0.5
         return masses
 
     def positions(self) -> Array:
-        """Rest positions along x [m], shape (particle_count, 3)."""
+        """Return rest positions along x [m], shape (particle_count, 3)."""
         positions = np.zeros((self.particle_count, 3))
         positions[:, 0] = np.arange(self.particle_count) * self.law.rest_length
         return positions
@@ -144,7 +144,7 @@ class Chain:
         return Model(self.masses(), [*forces, *further], anchors=self.anchors)
 
     def state(self) -> State:
-        """Return the state of the chain at rest along x."""
+        """Return a new state of the chain: at rest along x."""
         return State(self.positions())
 
     def refined(self, factor: int = 2) -> Chain:

@@ -38,7 +38,7 @@ class GridSheet:
         return self.width / (self.columns - 1), self.height / (self.rows - 1)
 
     def positions(self) -> Array:
-        """Rest positions [m], shape (rows * columns, 3)."""
+        """Return rest positions [m], shape (rows * columns, 3)."""
         x = np.linspace(-0.5, 0.5, self.columns) * self.width
         y = np.linspace(0.5, -0.5, self.rows) * self.height
         grid = np.zeros((self.rows, self.columns, 3))
@@ -47,21 +47,21 @@ class GridSheet:
         return grid.reshape(-1, 3)
 
     def masses(self, density: float) -> Array:
-        """Particle masses [kg] for a mass per area [kg/m^2]: half at the borders, a quarter at the corners."""
+        """Return particle masses [kg] for a mass per area [kg/m^2]: half at borders, a quarter at corners."""
         hx, hy = self.spacing
         return (density * hx * hy * _border_weights(self.rows)[:, None] * _border_weights(self.columns)).ravel()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Particle indices of the surface's triangles, shape (m, 3)."""
+        """Return the particle indices of the surface's triangles, shape (m, 3)."""
         return grid_triangles(self.rows, self.columns, self.layout)
 
     @property
     def surface(self) -> Surface:
-        """Topology of the grid's triangles: edges, hinges, boundary."""
+        """Topology of the grid's triangles: edges, hinges, boundary; computed at each access."""
         return Surface.from_triangles(self.triangles(), particle_count=self.rows * self.columns)
 
     def has_edge(self, name: str) -> bool:
-        """Return true if the grid has an edge or a corner of this name."""
+        """Return true if `edge` knows this name of an edge or corner."""
         return name in self._edges()
 
     def edge(self, name: str) -> NDArray[np.int64]:
@@ -134,7 +134,7 @@ class GridSheet:
         return terms
 
     def springs(self, named: dict[str, list[GridFamily]]) -> list[GridSprings]:
-        """Return one force of grid springs for each name and its families."""
+        """Return a list with one force of grid springs for each name and its families."""
         return [GridSprings(self.rows, self.columns, families, name=name) for name, families in named.items()]
 
 

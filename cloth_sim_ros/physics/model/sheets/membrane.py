@@ -38,7 +38,7 @@ MIN_SINE = 0.01
 MIN_STIFFENING_STRAIN = 1e-12
 #: Largest product of the two Poisson's ratios. The stiffness of plane stress is then at most a million times a modulus;
 #: at a product of 1 it is infinite.
-_MAX_COUPLING_SQUARE = 1.0 - 1e-6
+_MAX_POISSON_PRODUCT = 1.0 - 1e-6
 
 
 @attrs.frozen(kw_only=True)
@@ -71,22 +71,22 @@ class FabricModuli:
                     f"factor at least {least:.4g}, which the geometry alone gives at that strain; [0.0, 1.0] is a "
                     "constant modulus"
                 )
-        if not self.coupling_square <= _MAX_COUPLING_SQUARE:
-            limit = math.sqrt(_MAX_COUPLING_SQUARE * (self.warp / self.weft))
+        if not self.poisson_product <= _MAX_POISSON_PRODUCT:
+            limit = math.sqrt(_MAX_POISSON_PRODUCT * (self.warp / self.weft))
             raise ValueError(
                 f"poisson_ratio is {self.poisson_ratio}; it must be between {-limit:.8g} and {limit:.8g}, just below "
                 "the root of the modulus along the warp over that along the weft, where the stiffness would be infinite"
             )
 
     @property
-    def coupling_square(self) -> float:
+    def poisson_product(self) -> float:
         """Product ν12 ν21 of Poisson's ratios along warp and weft; more than 1 - 1e-6 is refused."""
         return self.poisson_ratio * self.poisson_ratio * (self.weft / self.warp)
 
     def stiffness(self) -> tuple[float, float, float, float]:
         """Return the stiffness of plane stress at small strain: C11, C12, C22 and G [N/m]."""
-        weft = self.weft / (1.0 - self.coupling_square)
-        return self.warp / (1.0 - self.coupling_square), self.poisson_ratio * weft, weft, self.shear
+        weft = self.weft / (1.0 - self.poisson_product)
+        return self.warp / (1.0 - self.poisson_product), self.poisson_ratio * weft, weft, self.shear
 
     def growth(self) -> Array | None:
         """Return Green's strains at which C11, C22 and G stop growing, and their increase [N/m], (3, 2), or None.

@@ -58,7 +58,7 @@ def merge_limit(points: Array, *, single_precision: bool = False) -> float:
 
 
 def clusters(points: Array, limit: float) -> NDArray[np.int64]:
-    """Return for each vertex the lowest vertex of its cluster of copies, or itself if the cluster is wide, (n,).
+    """Return for each vertex the lowest index in its cluster of copies, or its own if the cluster is wide, (n,).
 
     Args:
         points: different finite vertices [m], (n, 3).
@@ -87,7 +87,7 @@ def _close_candidates(points: Array, limit: float) -> NDArray[np.int64]:
 
 
 def _linked_lowest(points: Array, limit: float) -> NDArray[np.int64]:
-    """Return for each vertex the lowest one that it is linked to, directly or through others, (n,)."""
+    """Return for each vertex the lowest index that it is linked to, directly or through others, (n,)."""
     lowest = np.arange(len(points))
     # Cells of two limits, in eight grids shifted by one limit: two linked vertices share a cell in one of them.
     scaled = (points - points.min(axis=0)) / (2.0 * limit)
@@ -124,7 +124,7 @@ def _close_pairs(points: Array, first: NDArray[np.int64], second: NDArray[np.int
 
 
 def _merge_links(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Add links, (p, 2) each, to the clusters so far, (n,); return for each vertex the lowest of its cluster, (n,)."""
+    """Add links, (p, 2) each, to clusters, (n,); return for each vertex the lowest index of its cluster, (n,)."""
     count = len(lowest)
     label = component_labels(np.concatenate((np.stack((np.arange(count), lowest), axis=1), *links)), count)
     _, first = np.unique(label, return_index=True)
@@ -132,7 +132,7 @@ def _merge_links(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArra
 
 
 def component_labels(edges: NDArray[np.int64] | NDArray[np.int32], count: int) -> NDArray[np.int64]:
-    """Return the label of the connected component of each of `count` nodes, (count,), for edges (e, 2)."""
+    """Return labels from 0 of the connected components of `count` nodes, (count,), for edges (e, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

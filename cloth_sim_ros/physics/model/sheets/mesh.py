@@ -30,21 +30,21 @@ class MeshSheet:
     repairs: tuple[str, ...] = ()
 
     def positions(self) -> Array:
-        """Rest positions [m], shape (particle_count, 3)."""
+        """Return a copy of the rest positions [m], shape (particle_count, 3)."""
         return self.rest_positions.copy()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Particle indices of the surface's triangles, shape (m, 3)."""
+        """Return the particle indices of the surface's triangles, shape (m, 3), uncopied."""
         return self.surface.triangles
 
     def areas(self) -> Array:
-        """Area of each triangle at rest [m^2], shape (m,)."""
+        """Return the area of each triangle at rest [m^2], shape (m,)."""
         a, b, c = (self.rest_positions[self.surface.triangles[:, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
         return np.asarray(0.5 * np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2), dtype=np.float64)
 
     def masses(self, density: float) -> Array:
-        """Particle masses [kg] for a mass per area [kg/m^2]: a third of every triangle to each of its corners."""
+        """Return particle masses [kg] for a mass per area [kg/m^2]: a third of each triangle to each corner."""
         thirds = np.repeat(self.areas() / 3.0, 3)
         shares = np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest_positions))
         return np.asarray(density * shares, dtype=np.float64)
@@ -52,7 +52,7 @@ class MeshSheet:
     def springs(
         self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
     ) -> PairSprings:
-        """Return edge springs that make a sheet of Young's modulus Y.
+        """Return edge springs that give a sheet Young's modulus `stretch_modulus` [N/m], Poisson's ratio 1/3.
 
         An edge of length L between triangles of areas A1, A2 has k = Y (A1 + A2) / L^2 (van Gelder, J. Graphics Tools
         3(2), 1998). A border edge has one triangle. On equilateral triangles the formula is exact: k = Y sqrt(3)/2,
