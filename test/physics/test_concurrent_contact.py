@@ -178,21 +178,21 @@ def test_a_violated_culling_repeats_requested_runs(culled: tuple[Plan, State]) -
     start = state.x, state.v
     exact = [plan.runs(0.0, DURATION, start, [count], memory={})[0][0] for count in COUNTS]
     coarse = [plan.runs(0.0, DURATION, start, [count], **options)[0][0] for count in COUNTS]
-    assert [run.violated_culling for run in coarse] == [False, False, True]
+    assert [run.repeated_without_culling for run in coarse] == [False, False, True]
     # Runs with contact on the surface have double precision.
     assert [np.array_equal(a.x, b.x) for a, b in zip(exact, coarse, strict=True)] == [False, False, True]
     for concurrency in (1, 2):
         runs, _ = plan.runs(0.0, DURATION, start, COUNTS, concurrency=concurrency, **options)
-        assert all(run.violated_culling for run in runs)
+        assert all(run.repeated_without_culling for run in runs)
         assert all(np.array_equal(a.end_state, b.end_state) for a, b in zip(runs, exact, strict=True))
         # The last run is not requested.
         runs, _ = plan.runs(0.0, DURATION, start, COUNTS, concurrency=concurrency, weights=[-1.0, 2.0], **options)
         assert len(runs) == 2
-        assert not any(run.violated_culling for run in runs)
+        assert not any(run.repeated_without_culling for run in runs)
         assert all(np.array_equal(a.end_state, b.end_state) for a, b in zip(runs, coarse[:2], strict=True))
         # It is the only one that is requested.
         (run,), _ = plan.runs(0.0, DURATION, start, COUNTS[::-1], concurrency=concurrency, weights=[1.0], **options)
-        assert run.violated_culling
+        assert run.repeated_without_culling
         assert np.array_equal(run.end_state, exact[2].end_state)
 
 

@@ -13,7 +13,7 @@ from support.raw_sheet import RawSheet
 from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import amplification
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import rounding_amplification
 from cloth_sim_ros.physics.plan import thread_limit
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import PrecisionState, RoundingNoiseState, reset_step_control
@@ -78,7 +78,7 @@ def test_estimate_uses_single_precision_beyond_a_combination() -> None:
     tolerance = 2.4e-4
     budget = CONSTANTS.error_budget_fraction * PERIOD * tolerance
     precisions_of_frames, state = frames(tolerance, 24)
-    amplified_rounding = amplification(2) * PrecisionState.load(state).rounding
+    amplified_rounding = rounding_amplification(2) * PrecisionState.load(state).rounding
     assert CONSTANTS.single_precision_budget_fraction * budget < amplified_rounding < 0.1 * budget
     single = [runs for runs in precisions_of_frames if runs[0]]
     assert [True, True] in single

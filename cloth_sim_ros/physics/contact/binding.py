@@ -178,7 +178,7 @@ class ContactBinding(Uncopyable):
             return jaws
         return np.array([jaw.initial_state for jaw in self.force.jaws]).reshape(self.jaws_shape)
 
-    def offset_time(self, duration: float) -> None:
+    def set_time_offset(self, duration: float) -> None:
         """Set the time offset [s] of obstacle paths and thickness recovery: at t they are as at t plus the offset."""
         self._time_offset, self._paths, self._recovery = duration, None, None
 
@@ -201,7 +201,7 @@ class ContactBinding(Uncopyable):
         return self._features is None or self._features.is_out_of_reach(start, duration, x, v)
 
     def end_buffers(self, runs: int) -> tuple[Array | None, Array | None]:
-        """Return uninitialized arrays for anchors and jaws at the ends of runs, None for those that contact lacks."""
+        """Return uninitialised arrays for anchors and jaws at the ends of runs, None for those that contact lacks."""
         anchors = np.empty((runs, *self.anchors_shape)) if self.force.has_anchors else None
         return anchors, np.empty((runs, *self.jaws_shape)) if self.force.jaws else None
 

@@ -35,7 +35,7 @@ INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler
 def make_integrator(
     name: str, *, step: float | None = None, tolerance: float | None = None, work: float = 0.0
 ) -> Integrator:
-    """Create the integrator of a name, with a fixed step [s], or else a tolerance [m], and a work limit.
+    """Return a new integrator of a name, with a fixed step [s], or else a tolerance [m], and a work limit.
 
     Args:
         name: one of `INTEGRATORS`.
@@ -141,7 +141,7 @@ class Automatic(Integrator):
     def _choose_integrator(
         self, memory: IntegratorChoiceState, plan: Plan, state: State, t: float, duration: float
     ) -> None:
-        """Choose explicit or implicit steps by a periodic comparison of their costs, and record the choice.
+        """Write explicit or implicit steps into `memory`, by periodic comparison; a change resets step control.
 
         They are compared at once if the implicit method becomes expensive, or if the cloth comes close to itself.
         """
@@ -167,12 +167,12 @@ class Automatic(Integrator):
 
 
 def _is_clear_of_itself(plan: Plan, state: State, duration: float) -> bool:
-    """Return True if layers of the cloth can't meet within a duration [s]."""
+    """Return true if layers of the cloth can't meet within a duration [s]."""
     return plan.contact is None or plan.contact.is_clear_of_itself(duration, state.x, state.v)
 
 
 def _explicit_frame_cost(plan: Plan, state: State, t: float, duration: float) -> float:
-    """Return the estimated cost of a frame by explicit steps at the stability limit [ns].
+    """Return the estimated cost of a frame by explicit steps at the stability limit [ns], or raise UnstableError.
 
     The estimate ignores accuracy: a motion that requires explicit steps below the stability limit is too fast for large
     implicit steps.

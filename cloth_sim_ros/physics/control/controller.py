@@ -10,7 +10,7 @@ The loop `explicit.integrate` asks in this order:
 - `is_stable` tells if the steps were within the limits that the runs met. `reject_unstable` makes them shorter.
 - `predict` returns the error from the last estimate; it is infinite if an estimate is due. `estimate` measures it.
   `reject_inaccurate` chooses more runs, shorter steps or a shorter piece.
-- `keeps_energy` checks a piece whose error is not known to fit its budget. `reject_energy` makes steps shorter.
+- `check_energy` checks a piece whose error is not known to fit its budget. `reject_energy` makes steps shorter.
 - `accept` moves the state to the end of the piece. Only then rules learn from it; a rejected piece changes nothing.
 - `store` writes into the state what the next advance needs.
 
@@ -27,7 +27,7 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
-from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
+from cloth_sim_ros.physics.control.energy import EnergyRule, measure_external_work
 from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
@@ -73,7 +73,7 @@ _ATTRIBUTES = (
 
 
 class Controller:
-    """Choice of pieces, number of runs and steps of one explicit advance, by the rules and the work budget.
+    """Controller of one explicit advance: chooses pieces, number of runs and steps, by rules and the work budget.
 
     Args:
         options: settings of the integrator.
@@ -157,7 +157,7 @@ class Controller:
 
     @cached_property
     def _has_external_work(self) -> bool:
-        """True if Python forces, moving air or moving obstacles may do work on the cloth in this advance."""
+        """True if Python forces, moving air or moving obstacles may do work on the cloth in this advance; cached."""
         plan, state = self._plan, self._state
         if plan.contact is not None and not plan.contact.force.steady():
             return True
@@ -182,7 +182,7 @@ class Controller:
         self.restart()
 
     def restart(self) -> None:
-        """Restart at the start of the frame; all pieces then get an error estimate."""
+        """Reset the controller, not the state, to the frame's start; all pieces then get an error estimate."""
         memory = self._stability.memory
         memory.omega2, memory.damping = self._start_bounds
         if self._plan.has_hinges:
@@ -224,7 +224,7 @@ class Controller:
     # Pieces.
 
     def choose_piece(self, t: float) -> Piece | None:
-        """Return the next piece of the frame, from time t [s]; None if explicit steps are abandoned."""
+        """Return the present piece, or choose the next from time t [s]; None if explicit steps are abandoned."""
         if self._piece is None and not self.abandoned:
             self._piece = self._divide(t)
             if self.estimates_error and not (self.work.evaluations or self.exhausted):
@@ -255,7 +255,7 @@ class Controller:
         steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         reserved = self.work.rest_of(self._duration - self._ends[-1], len(self._ends))
         if not self.work.fits(self.work.work_of(self.n_runs, steps, n_pieces) + reserved):
-            self._clamp(stretch, max_step, reserved)
+            self._fit_to_budget(stretch, max_step, reserved)
             steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         if self.estimates_error:
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, stretch))
@@ -283,7 +283,7 @@ class Controller:
         return max(self._multirate_refinement, self._stability.min_refinement(n_runs, length))
 
     def _choose_ratio(self, max_step: float) -> int:
-        """Return the multirate ratio of this advance; a changed ratio sets an error estimate due."""
+        """Set and return the multirate ratio of this advance; a changed ratio sets an error estimate due."""
         rule, recorded_ratio = self._multirate, self._multirate.memory.ratio
         if self.estimates_error:
             rule.choose(self._state.x, max_step, self._duration, self.n_runs)
@@ -293,7 +293,7 @@ class Controller:
         return rule.ratio
 
     def _halve(self, length: float) -> bool:
-        """Halve the next piece of a length [s]; return False if it would be too short."""
+        """Halve the next piece, of a length [s], as rough motion; return False if it would be too short."""
         if length < 2.0 * _MIN_PIECE * self._duration:
             return False
         if self._piece is not None and self._piece.pieces_left > 1:
@@ -314,8 +314,8 @@ class Controller:
         check = self.work.weight * steps * RATIO_SUMS[n_runs] if self._has_external_work else 0.0
         return self.work.work_of(n_runs, steps, n_pieces) + check
 
-    def _clamp(self, stretch: float, max_step: float, reserved: float) -> None:
-        """Reduce `n_runs` and `refinement` for a stretch [s] to the work budget; set `exhausted` if none fit.
+    def _fit_to_budget(self, stretch: float, max_step: float, reserved: float) -> None:
+        """Reduce `n_runs` and `refinement` to the work budget of a stretch [s]; set `exhausted` or `abandoned`.
 
         Explicit steps are abandoned if the longest stable ones exceed it by more than the cost of implicit steps that
         finish the frame.
@@ -346,7 +346,7 @@ class Controller:
     def tableau(
         self, t: float, piece: Piece, previous: ExtrapolationTableau | None, accumulator: WorkAccumulator | None
     ) -> ExtrapolationTableau:
-        """Return the tableau of runs of a piece from time t [s]; that of its previous attempt if steps are equal."""
+        """Return a tableau of runs of a piece from time t [s], or the previous attempt's if steps are equal."""
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=self._is_rough)
         single_precision = is_estimated = False
         if self._has_tolerance:
@@ -389,7 +389,7 @@ class Controller:
     # Rule 1: stability.
 
     def is_stable(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
-        """Return True if the chosen combination is finite and its steps are below the stability limit that it met."""
+        """Calculate the chosen runs; return true if they are finite, with steps below the limit that they met."""
         n_runs = self.n_runs
         evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
@@ -452,7 +452,7 @@ class Controller:
         return math.inf if self.estimates_error else error
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
-        """Estimate the error of a piece [m] by further runs, and combine more of its runs if that suffices.
+        """Return the error of a piece [m] by further runs, whose work counts; raise `n_runs` if that suffices.
 
         If the error is above its target, further runs show whether more runs or finer steps are better.
 
@@ -500,7 +500,7 @@ class Controller:
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
     def _append_estimate(self, tableau: ExtrapolationTableau, chosen: int) -> None:
-        """Append the next combination's error [m] to the estimate; approximately, if another one is chosen."""
+        """Append the next combination's error [m] to the estimate; approximate if the combination is not chosen."""
         n_runs = len(self._estimate.errors) + 1
         # A wrong approximation costs a run.
         is_cheap = n_runs > chosen and tableau.counts[n_runs] > DISPLACEMENT_EVALUATIONS
@@ -525,7 +525,7 @@ class Controller:
         return min(self.n_runs + is_confirmed, self.options.n_runs)
 
     def _estimate_ends(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> float:
-        """Return the error that a force jump in the first or last half step of a piece may cause [m]."""
+        """Return the error [m] that a force jump in a piece's first or last half step may cause; count its work."""
         end, error, half_step = self._state.shallow_copy(), 0.0, 0.5 * piece.step
         tableau.commit(self.n_runs, end)
         for state, time, duration in ((self._state, t, -half_step), (end, t + piece.length, half_step)):
@@ -601,7 +601,7 @@ class Controller:
         return is_repeated and refinement > CONSTANTS.estimate_trust_factor * self.refinement
 
     def _halve_if_long(self, piece: Piece) -> bool:
-        """Halve a piece, if it has enough steps and its halves fit the work budget; return whether it was halved.
+        """Halve a piece, if it has enough steps and its halves fit the work budget; return true if it was halved.
 
         Kinks of friction of bending do not halve: many hinges yield in each frame, and steps are of order 2 there.
         Contact jumps, so that pieces of a model with contact are halved nevertheless.
@@ -621,8 +621,8 @@ class Controller:
 
     # Rule 3: energy.
 
-    def keeps_energy(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> bool:
-        """Check the energy of a piece whose error is unknown or over budget; return False if it creates energy."""
+    def check_energy(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> bool:
+        """Return False if a piece of unknown or excessive error creates energy; otherwise record its energy drift."""
         n_runs, energy, drift = self.n_runs, self._energy, None
         has_contact = self._stability.has_contact(tableau, n_runs)
         omega2 = self._stability.memory.omega2, math.inf if has_contact else tableau.summary(n_runs).omega2
@@ -631,7 +631,7 @@ class Controller:
         if energy.must_check(omega2, steps_differ, self.refinement):
             end = self._state.shallow_copy()
             tableau.commit(n_runs, end)
-            work, evaluations = external_work(self._plan, self._state, tableau, t, n_runs)
+            work, evaluations = measure_external_work(self._plan, self._state, tableau, t, n_runs)
             self.work.add(evaluations, self.work.weight)
             step = 0.0 if steps_differ else piece.step
             moments = (t, self._state), (t + piece.length, end)
@@ -651,7 +651,7 @@ class Controller:
         self._retry(2.0, "making energy from nowhere", piece, may_abandon=True)
 
     def _retry(self, factor: float, failure: str, piece: Piece, *, may_abandon: bool = False) -> None:
-        """Prepare a further attempt of a rejected piece with finer steps, or abandon explicit steps.
+        """Prepare a further attempt of a rejected piece: finer steps, halves, fewer runs, or abandon explicit steps.
 
         Args:
             factor: factor on the refinement.
@@ -698,7 +698,7 @@ class Controller:
     def accept(
         self, tableau: ExtrapolationTableau, piece: Piece, error: float, accumulator: WorkAccumulator | None
     ) -> float:
-        """Move the state to the end of a piece, and update bounds, totals and rules by it.
+        """Move the state to the end of a piece, update bounds, totals, rules; return the time in the frame [s].
 
         Args:
             tableau: runs of the piece.
@@ -753,7 +753,7 @@ class Controller:
             self.n_runs, self.refinement = n_runs, min(refinement, self.refinement)
 
     def store(self) -> None:
-        """Store the rules' numbers for the next advance in the state, and choose its runs and steps."""
+        """Store the rules' numbers, with runs and steps of the next advance, in the state's memory."""
         state, error, frame = self._state, self._error, self._frame
         target = CONSTANTS.error_target_fraction * self.budget
         if self._is_rough:
@@ -795,7 +795,7 @@ class Controller:
         self._error.record_estimate(frame, self.n_runs, next_runs, next_refinement)
 
     def store_bounds(self) -> None:
-        """Store only the spectral bounds in the state; their key must stay, see `reset_step_control`."""
+        """Store only the spectral bounds in the state's memory; their key must stay, see `reset_step_control`."""
         self._stability.memory.store(self._state)
 
     # Report.

@@ -57,7 +57,7 @@ class EnergyRule:
         return steps_differ or self._is_start(refinement) or has_stiffened
 
     def measure_drift(self, start: Moment, end: Moment, step: float, work: float, *, refinement: float) -> float | None:
-        """Return the energy drift [J], this run included; None if the run created too much energy.
+        """Return the energy drift [J], this run included; None if the run created too much energy or is not finite.
 
         Args:
             start: time and state at its start.
@@ -132,8 +132,10 @@ def leapfrog_energy(plan: Plan, t: float, state: State, step: float) -> float:
     return energy + 0.125 * step * weighted_dot(plan.model.masses, v, forward - backward)
 
 
-def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: float, n_runs: int) -> tuple[float, int]:
-    """Return the external work on the cloth [J] over a tableau's interval, and the force evaluations spent on it.
+def measure_external_work(
+    plan: Plan, state: State, tableau: ExtrapolationTableau, t: float, n_runs: int
+) -> tuple[float, int]:
+    """Return external work on the cloth [J] in a tableau's interval, and evaluations spent: runs may be repeated.
 
     Args:
         plan: equations of motion.

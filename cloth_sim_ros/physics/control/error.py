@@ -25,7 +25,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
     RATIOS,
     VELOCITY_ERROR_TIME,
-    amplification,
+    rounding_amplification,
     error_coefficient,
 )
 from cloth_sim_ros.physics.state.controller_state import ErrorState
@@ -56,7 +56,7 @@ class ErrorEstimate:
         return self.errors[n_runs - 1] + self.end_error
 
     def append(self, error: float, *, is_approximate: bool = False) -> None:
-        """Append the estimated error [m] of the next combination, of one run more.
+        """Append the estimated error [m] of the next combination, of one run more; rough motion may raise it.
 
         If the motion is rough, an estimate may be small by chance. Then it counts as at least what the gain of the
         combination before it makes plausible.
@@ -75,7 +75,7 @@ class ErrorEstimate:
         self.approximate.remove(n_runs)
 
     def confirm(self, rounding_floor: Callable[[int], float], measure: Callable[[int], float]) -> None:
-        """Raise errors that are small by chance, because combinations of more runs have far larger ones.
+        """Raise errors that are small by chance, in place, because combinations of more runs have far larger ones.
 
         A later one that is approximate is measured first. In a rough motion all errors must fit instead.
 
@@ -133,7 +133,7 @@ class ErrorRule:
         displaced = 0.0
         if steps:
             displaced = VELOCITY_ERROR_TIME * (0.5 * _EPSILON * largest_component(self._v)) * steps
-        return amplification(n_runs + 1) * (self._position_rounding + displaced)
+        return rounding_amplification(n_runs + 1) * (self._position_rounding + displaced)
 
     def is_predictable(self, counts: tuple[int, ...], length: float) -> bool:
         """Return True if the last estimate can predict the error of a piece with these step counts and length [s]."""
@@ -226,7 +226,7 @@ class ErrorRule:
         return best[0], best[1]
 
     def record_estimate(self, frame: FrameTotals, n_runs: int, next_runs: int, next_refinement: float) -> None:
-        """Record the error estimates of an accepted frame, and set the time until the next estimate.
+        """Record an accepted frame's error estimates in `memory`, and set the time until the next estimate.
 
         Args:
             frame: totals of its pieces.
@@ -272,7 +272,7 @@ class ErrorRule:
         self.memory = ErrorState(n_runs=float(n_runs), refinement=refinement, duration=self.memory.duration)
 
     def count_down(self) -> None:
-        """Reduce the time until the next estimate by a frame."""
+        """Reduce the time until the next estimate by a frame, down to 0."""
         memory = self.memory
         time_left = memory.time_until_estimate - memory.duration
         memory.time_until_estimate = time_left if time_left > 1e-6 * memory.duration else 0.0

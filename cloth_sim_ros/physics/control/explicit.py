@@ -39,7 +39,7 @@ class ExplicitIntegrator(Integrator):
     def advance(
         self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
     ) -> Advance:
-        """Advance a state by a duration [s] with explicit steps, and with a fallback if these are abandoned.
+        """Advance a state, in place, by a duration [s] with explicit steps, or a fallback if these are abandoned.
 
         Explicit steps may be abandoned, because they exceed the work limit or create energy. The frame then starts
         again. With contact and a tolerance, single runs within a reserve of work advance it. If that fails too,
@@ -93,7 +93,7 @@ class ExplicitIntegrator(Integrator):
 def integrate(
     controller: Controller, state: State, start: State, t: float, duration: float, accumulator: WorkAccumulator | None
 ) -> bool:
-    """Move the state through a frame, piece by piece; return False if explicit steps are abandoned.
+    """Move the state through a frame, piece by piece; return False, anywhere in it, if explicit steps are abandoned.
 
     Args:
         controller: chooses runs, steps and lengths.
@@ -131,7 +131,7 @@ def integrate(
             if error > allowed and controller.reject_inaccurate(piece, allowed):
                 continue
         is_known = error <= allowed and controller.options.tolerance is not None
-        if not (is_known or controller.keeps_energy(tableau, t + elapsed, piece)):  # rule 3: energy
+        if not (is_known or controller.check_energy(tableau, t + elapsed, piece)):  # rule 3: energy
             controller.reject_energy(piece)
             continue
         # Times of short pieces may round to the same number, so the next piece must not reuse these runs.

@@ -40,7 +40,7 @@ def finish_implicitly(
     max_evaluations: float,
     max_time: float = math.inf,
 ) -> Advance:
-    """Advance a state by a few implicit steps after explicit ones were abandoned; the result is flagged.
+    """Advance a state by a few implicit steps; flag the report, reset step control, count the fallback.
 
     Each iteration factorises a matrix, which takes long for a large sheet. If not even the least number of iterations
     fits the time, descents use the blocks of single particles instead, which bound that matrix.

@@ -47,7 +47,7 @@ class MultirateRule:
 
     @property
     def bounds(self) -> Sequence[float]:
-        """Bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges, and of that across springs [1/s^2]."""
+        """Bounds of squared frequency and damping rate of hinges, and of squared frequency across springs; settable."""
         return self.memory.omega2, self.memory.damping, self.memory.transverse_omega2
 
     @bounds.setter
@@ -55,7 +55,7 @@ class MultirateRule:
         self.memory.omega2, self.memory.damping, self.memory.transverse_omega2 = bounds
 
     def keep(self, max_step: float, duration: float) -> None:
-        """Keep the ratio of the last advance, unless a ratio of 1 is cheaper.
+        """Keep the `ratio` of the last advance, or set it to 1 if that is cheaper.
 
         Args:
             max_step: longest stable step [s].
@@ -65,7 +65,7 @@ class MultirateRule:
             self.ratio = 1
 
     def choose(self, x: Array, max_step: float, duration: float, n_runs: int) -> None:
-        """Choose the multirate ratio of least cost; 1 if runs are combined, and for some estimates after that.
+        """Set `ratio` to that of least cost; to 1 if runs are combined, and for some estimates after that.
 
         A refinement for accuracy keeps the ratio, so that the error decreases with its order. The error of impulses is
         m^2 times that of steps. It would cost further runs if more than one is combined, so the ratio is then 1, and

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.arrays import largest_component, largest_distance, weighted_dot
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, amplification
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, rounding_amplification
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -147,7 +147,7 @@ class PrecisionRule:
             return False
         if not 0.0 <= noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy:
             return False
-        factor = amplification(n_runs)
+        factor = rounding_amplification(n_runs)
         rounding = factor * memory.rounding
         # An error estimate needs one further run.
         if not (rounding <= self._rounding_budget and self.resolves_error(n_runs + estimates_error)):
@@ -167,7 +167,7 @@ class PrecisionRule:
 
         The combination is only an estimate. Rounding must be small against the budget, not against the error.
         """
-        return amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
+        return rounding_amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
 
     def _is_known_at(self, speed: float) -> bool:
         """Return True if the effect of rounding was measured at about this largest speed [m/s], or above it."""

@@ -81,7 +81,7 @@ class StabilityRule:
         return leapfrog_limit(self.memory.omega2, self.memory.damping)
 
     def predicted_limit(self, t: float, duration: float, state: State) -> float:
-        """Return the stability limit of the step [s] with the contact predicted from t to t + duration [s].
+        """Return the largest stable step [s] with contact until t + duration; set `contact_time` or raise NoRoomError.
 
         Raises:
             NoRoomError: if no step is short enough.

@@ -103,7 +103,7 @@ class WorkBudget:
         return time * self.rest_rate + n_stretches * min_work
 
     def fits(self, work: float) -> bool:
-        """Return True if further work, in force evaluations, does not exceed the limit."""
+        """Return true if further work, in force evaluations, does not exceed the limit `cap` of explicit steps."""
         return self.used + work <= self.cap
 
     def add(self, evaluations: int, weight: float = 1.0) -> None:
@@ -111,5 +111,5 @@ class WorkBudget:
         self.evaluations, self.used = self.evaluations + evaluations, self.used + weight * evaluations
 
     def grant_reserve(self) -> None:
-        """Raise the limit, so that explicit steps may use the reserve of the fallback."""
+        """Raise the limit `cap`, so that explicit steps may use the reserve of the fallback."""
         self.cap = self.used + self.reserve

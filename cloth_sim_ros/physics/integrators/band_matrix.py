@@ -45,7 +45,7 @@ def _start(is_worth_a_thread: bool, function: Callable[..., Any], *arguments: An
 
 
 class BandMatrix:
-    """Symmetric positive definite band matrix of 3x3 blocks between particles: assembled, factorised, solved.
+    """Symmetric positive definite band matrix of 3x3 blocks between particles; `update` assembles, then `solve`.
 
     Args:
         block_rows: block row of each particle, -1 for fixed ones, shape (n,).
@@ -89,7 +89,7 @@ class BandMatrix:
         return np.flatnonzero(is_in_band & ~is_lower), np.flatnonzero(is_in_band & is_lower)
 
     def update(self, blocks: list[Array], masses: Array, diagonal: Array) -> None:
-        """Assemble the matrix from pair blocks, masses and diagonal blocks, and factorise it.
+        """Assemble and factorise the matrix; raise UnstableError if it is not positive definite.
 
         Args:
             blocks: pair blocks (m, 6) of each group.
@@ -121,7 +121,7 @@ class BandMatrix:
         return band.factor(rows, (self._upper, self._lower)[part])
 
     def solve(self, right: Array) -> None:
-        """Replace the right-hand side (3, n) by the solution; zero for fixed particles."""
+        """Replace the right-hand side (3, n) by the solution, after `update`; zero for fixed particles."""
         is_free = self._block_rows >= 0
         y = np.zeros((self.count, 3))
         y[self._block_rows[is_free]] = right[:, is_free].T

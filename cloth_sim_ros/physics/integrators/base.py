@@ -78,7 +78,7 @@ class Integrator(ABC):
     def advance(
         self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
     ) -> Advance:
-        """Advance ``state`` from time t [s] by duration [s].
+        """Advance ``state``, in place, from time t [s] by duration [s]; return a report.
 
         The arrays of positions and velocities are replaced, not overwritten, so references to the old ones stay valid.
         Controllers keep their state between calls in ``state.memory``.
@@ -98,7 +98,7 @@ class Integrator(ABC):
 def check_settings(
     step: float | None, tolerance: float | None = None, work: float = 0.0
 ) -> tuple[float | None, float | None, float]:
-    """Check fixed step [s], tolerance [m] and work limit (multiple of real time), and return them unchanged.
+    """Return fixed step [s], tolerance [m] and work limit (multiple of real time) unchanged, or raise ValueError.
 
     Raises:
         ValueError: if one is out of range, or step and tolerance are both set.
@@ -125,7 +125,7 @@ class NoRoomError(UnstableError, ValueError):
 
 
 def refuse_unbounded(omega2: float, damping: float) -> None:
-    """Raise an error if the spectral bounds are so large that no step is stable.
+    """Raise UnstableError if the spectral bounds are so large that no step is stable.
 
     Args:
         omega2: bound of the squared frequency [1/s^2].
@@ -142,7 +142,7 @@ def refuse_unbounded(omega2: float, damping: float) -> None:
 
 
 def refuse_step(step: float, limit: float, name: str) -> None:
-    """Raise an error if a fixed step [s] is above the stability limit [s].
+    """Raise StepLimitError if a fixed step [s] is above the stability limit [s].
 
     Raises:
         StepLimitError: naming step, limit and remedy.

@@ -37,7 +37,7 @@ RATIO_SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 @lru_cache(maxsize=256)
 def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprime: bool = False) -> tuple[int, ...]:
-    """Return the numbers of steps of the tableau's runs, strictly increasing multiples of the multirate ratio.
+    """Return the step counts of the tableau's runs, strictly increasing multiples of the multirate ratio.
 
     Args:
         first: step count of the first run.
@@ -56,8 +56,8 @@ def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprim
 
 
 @lru_cache(maxsize=16)
-def amplification(n_runs: int) -> float:
-    """Return the factor by which the combination of n_runs runs amplifies rounding: the sum of its weights' |w|."""
+def rounding_amplification(n_runs: int) -> float:
+    """Return the factor by which a combination of n_runs runs amplifies rounding: the sum of its weights' |w|."""
     # Twenty is the smallest first count whose step counts have exactly the ratios.
     return ordered_sum(abs(weight) for weight in weights(step_counts(20, n_runs)))
 
@@ -84,12 +84,12 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
 
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
-    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] among several pairs."""
+    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] among several such pairs."""
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
 class ExtrapolationTableau:
-    """Leapfrog runs over one interval and the combinations T_K of the first K of them; computed on demand.
+    """Leapfrog runs over one interval and the combinations T_K of the first K of them; each query makes missing runs.
 
     Args:
         plan: equations of motion.
@@ -188,7 +188,7 @@ class ExtrapolationTableau:
         return self._runs[0].jerk_change
 
     def change(self, n_runs: int) -> tuple[float, float]:
-        """Return the largest change of a position [m] and a velocity [m/s] if one run more than n_runs is combined."""
+        """Return the largest changes of position [m] and velocity [m/s] if one run more than n_runs is combined."""
         if n_runs not in self._changes:
             (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
             self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
@@ -223,7 +223,7 @@ class ExtrapolationTableau:
         return max(distance + self._velocity_weight * velocity_change, self._jaw_difference(n_runs))
 
     def jaws(self, n_runs: int) -> Array | None:
-        """Return the jaw states at the end of n_runs combined runs; None without parallel grippers."""
+        """Return the jaw states (pinches, 2) at the end of n_runs combined runs; None without parallel grippers."""
         contact = self._plan.contact
         if contact is None or not contact.force.jaws:
             return None
@@ -302,7 +302,7 @@ class ExtrapolationTableau:
                 counts = self.counts[n_existing:n_runs]
         runs = self._execute(n_existing, counts, n_runs, concurrency)
         is_other_request = n_existing > n_requested or len(runs) > n_runs - n_existing > 0
-        if n_existing > 0 and is_other_request and runs[0].violated_culling:
+        if n_existing > 0 and is_other_request and runs[0].repeated_without_culling:
             # Those runs are repeated together that are requested together.
             del self._runs[n_requested:]
             self._execute(n_requested, self.counts[n_requested:n_runs], n_runs, concurrency)

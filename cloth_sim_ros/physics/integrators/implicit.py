@@ -59,7 +59,7 @@ class Implicit(Integrator):
         is_strict: bool = False,
         max_evaluations: float = math.inf,
     ) -> Advance:
-        """Advance ``state`` from time t [s] by duration [s], as `Integrator.advance` does.
+        """Advance ``state``, in place, from time t [s] by duration [s]; return a report, as `Integrator.advance` does.
 
         Args:
             plan: equations of motion.

@@ -70,7 +70,7 @@ class ImplicitSettings(Protocol):
 
 
 class ImplicitAdvance:
-    """Computation of one advance by the implicit method: steps, error budget, work limit and counters."""
+    """Computation of one advance by the implicit method, by one call of `run`: steps, budgets and counters."""
 
     def __init__(
         self,
@@ -249,7 +249,7 @@ class ImplicitAdvance:
         return step.error, step.a
 
     def _solve_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
-        """Return one step of the Runge-Kutta method; None if a stage does not converge."""
+        """Return one step of the Runge-Kutta method, the state unchanged; None if a stage does not converge."""
         x, v, d = self._state.x, self._state.v, GAMMA * h
         first = self._solve_stage(t + d, x, v, d, guess)
         if first is None:
@@ -375,12 +375,12 @@ class ImplicitAdvance:
         if contact is None:
             return self._descend(t, x, v, d, guess)
         self._obstacle_time_offset = 0.5 * d
-        contact.offset_time(self._obstacle_time_offset)
+        contact.set_time_offset(self._obstacle_time_offset)
         try:
             return self._descend(t, x, v, d, guess)
         finally:
             self._obstacle_time_offset = 0.0
-            contact.offset_time(0.0)
+            contact.set_time_offset(0.0)
 
     def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
         """Return velocities u [m/s] that decrease a stage's objective, by Newton steps from the best of several starts.

@@ -8,7 +8,7 @@ import math
 
 
 def leapfrog_limit(omega2: float, damping_rate: float) -> float:
-    """Return the largest stable step [s]: the positive root of ``h^2 w^2 / 4 + h c / 2 = 1``.
+    """Return the largest stable step [s], infinite without bounds: the positive root of ``h^2 w^2 / 4 + h c / 2 = 1``.
 
     At this step a root of the characteristic polynomial for x'' = -w^2 x - c x' leaves the unit circle, at -1.
 
@@ -24,5 +24,5 @@ def leapfrog_limit(omega2: float, damping_rate: float) -> float:
 
 
 def steps_for(duration: float, step: float) -> int:
-    """Return the smallest number of equal steps of at most ``step`` [s] that cover a duration [s], up to rounding."""
+    """Return the least number, from 1, of equal steps of at most ``step`` [s] that cover a duration, up to rounding."""
     return max(1, math.ceil(duration / step * (1.0 - 1e-12)))

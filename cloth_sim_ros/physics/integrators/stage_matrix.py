@@ -74,7 +74,7 @@ class StageMatrix:
     def update(
         self, t: float, x: Array, d: float, memory: StateMemory, prescribed: NDArray[np.int64] = NO_PARTICLES
     ) -> None:
-        """Assemble and factorise M + d^2 K + d D with stiffness K and damping D at positions x.
+        """Assemble and factorise M + d^2 K + d D with stiffness K and damping D at positions x, for `solve`.
 
         Args:
             t: time [s].
@@ -100,7 +100,7 @@ class StageMatrix:
         self._matrix.update(pair_blocks, masses, blocks)
 
     def solve(self, right: Array) -> None:
-        """Replace the right-hand side (3, n) by the solution; zero for anchored particles."""
+        """Replace the right-hand side (3, n) by the solution, after `update`; zero for anchored particles."""
         self._matrix.solve(right)
 
 
@@ -134,7 +134,7 @@ class ParticleBlocks:
         self._blocks = np.where(is_free, blocks, np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]).T)
 
     def solve(self, right: Array) -> None:
-        """Replace the right-hand side (3, n) by the solution with each particle's block."""
+        """Replace the right-hand side (3, n) by the solution with each particle's block, after `update`."""
         xx, yy, zz, xy, xz, yz = self._blocks
         x, y, z = right.copy()
         # Cofactors of the symmetric block.
@@ -157,7 +157,7 @@ def stage_matrix(model: Model) -> StageMatrix:
 
 
 def iteration_cost(model: Model) -> float:
-    """Return the estimated cost of one iteration of the implicit method [ns]."""
+    """Return the estimated cost [ns] of an iteration of the implicit method; build the stage matrix if missing."""
     rows, width = stage_matrix(model).size
     # Symmetry halves the products of 3 x 3 blocks in the band.
     factorization_cost = CONSTANTS.factorization_time * 4.5 * rows * width * width

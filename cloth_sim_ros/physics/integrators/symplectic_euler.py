@@ -78,7 +78,7 @@ class SymplecticEuler(Integrator):
         return Advance(steps, evaluations, h, limit, rejected, self.name, limited_by, reason=reason)
 
     def _limit_at(self, plan: Plan, state: State, t: float, lookahead: float) -> float:
-        """Return the stability limit of the step [s] at time t [s], with contact predicted over `lookahead` [s]."""
+        """Return the largest stable step [s] at time t, with contact within `lookahead` [s]; or raise NoRoomError."""
         omega2, damping = plan.spectral_bounds(state.x)
         try:
             contact_omega2, contact_damping = plan.predict_contact(t, lookahead, state.x, state.v, state.memory)
@@ -90,7 +90,7 @@ class SymplecticEuler(Integrator):
     def _take_steps(
         plan: Plan, state: State, t: float, h: float, steps: int, accumulator: WorkAccumulator | None
     ) -> None:
-        """Move a state by equal steps of h [s] from time t [s], after a reset of the accumulator."""
+        """Move a state, in place, by equal steps of h [s] from time t [s], after a reset of the accumulator."""
         if accumulator is not None:
             accumulator.reset()
         a = np.empty_like(state.x)

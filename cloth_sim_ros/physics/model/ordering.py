@@ -15,7 +15,7 @@ _MAX_BANDWIDTH_FACTOR = 3.0
 
 
 def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64] | None:
-    """Return an order of particles that brings interacting ones close together; None if the present order does.
+    """Return the particles in an order that brings interacting ones close together; None if the present one does.
 
     It is the reversed order of Cuthill and McKee, shape (particle_count,), and depends on the pairs alone. Chains and
     grids are in such an order already.

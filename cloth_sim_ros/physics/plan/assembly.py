@@ -107,7 +107,7 @@ class Assembly:
         return next((part for part in self.element_lists if part.kind == PLASTIC_KIND), None)
 
     def upload(self, handle: int) -> None:
-        """Upload all parts to the engine's plan, given by its pointer."""
+        """Upload uniform forces, grid and element lists to the engine's plan, given by its pointer."""
         self.upload_uniform(handle)
         if self.grid is not None:
             family_table = _family_table(self.grid)
@@ -118,7 +118,7 @@ class Assembly:
             self._upload_order(handle)
 
     def upload_uniform(self, handle: int) -> None:
-        """Upload gravity, wind and drag, which act on all particles alike."""
+        """Upload to an engine's plan gravity, wind and drag, which act on all particles alike."""
         check(library().cloth_plan_uniform(handle, self.gravity.ctypes.data, self.wind.ctypes.data, self.drag))
 
     def pair_counts(self) -> list[int]:
@@ -127,7 +127,7 @@ class Assembly:
         return [blocks.get(part.kind, 0) * len(part.particles) for part in self.element_lists]
 
     def min_damping_time(self) -> float:
-        """Return the least ratio of damping to stiffness, c / k [s], of springs, joints and membranes."""
+        """Return the least ratio c / k [s] of damping to stiffness of springs, joints, membranes; else infinity."""
         coefficients = [part.coefficients for part in self.element_lists if part.kind in ("spring", "joint")]
         damping_times = [min_damping_time(numbers[:, -2], numbers[:, -1]) for numbers in coefficients]
         families = () if self.grid is None else self.grid.families
@@ -169,7 +169,7 @@ class Assembly:
 
 
 def _merge_grids(parts: Sequence[SpringGrid]) -> SpringGrid | None:
-    """Merge all spring families of a sheet into one grid, because the engine sweeps over them together."""
+    """Return one grid with all spring families of a sheet, because the engine sweeps over them together."""
     if not parts:
         return None
     rows, columns = parts[0].rows, parts[0].columns
@@ -188,7 +188,7 @@ def _merge_grids(parts: Sequence[SpringGrid]) -> SpringGrid | None:
 
 
 def _family_table(sheet: SpringGrid) -> Array:
-    """Return the engine's table of a grid's spring coefficients: one row for each family, shape (families, 6)."""
+    """Return the engine's table of a grid's springs, (families, 6): a row for each known family, even if absent."""
     table = np.zeros((len(FAMILIES), 6))
     table[:, 2], table[:, 5] = 1.0, -1.0
     for family in sheet.families:

@@ -37,7 +37,7 @@ class GripBinding(Uncopyable):
         self._paths_shape = (self.count, binding.PATH_NUMBERS)
 
     def upload(self) -> None:
-        """Upload grasped particles and paths of grippers to the engine if they changed."""
+        """Upload grasped particles and paths of grippers to the engine if they changed; refuse invalid ones."""
         controls, uploaded = self.force.controls, self._uploaded
         if controls is uploaded:
             return
@@ -75,7 +75,7 @@ class GripBinding(Uncopyable):
         return out
 
     def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> tuple[int, Array]:
-        """Return the wrench of the cloth on each gripper, the gripper's power on the cloth, and its grips' dissipation.
+        """Return the engine's status and, per gripper, wrench of the cloth, its power and dissipation, (grippers, 8).
 
         Args:
             t: time [s].
@@ -99,7 +99,7 @@ class GripBinding(Uncopyable):
         return min_damping_time(grasps.stiffness, grasps.damping)
 
     def add_bounds(self, stiff: Array, damped: Array) -> None:
-        """Add stiffness [N/m] and damping [N s/m] of grips to the blocks (6, n) of their particles."""
+        """Add stiffness [N/m] and damping [N s/m] of grips to their particles' blocks (6, n), in place."""
         grasps = self.force.controls.grasps
         # Several grippers may grasp one particle: plain indexing would not add up.
         for axis in range(3):

@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def normalized(orientation: ArrayLike) -> Array:
-    """Return a quaternion (x, y, z, w) scaled to length 1, as an array, shape (4,).
+    """Return a quaternion (x, y, z, w) scaled to length 1, as an array, shape (4,); refuse one without length.
 
     Raises:
         ValueError: if it is not finite or has no length.
@@ -32,7 +32,7 @@ def normalized(orientation: ArrayLike) -> Array:
 
 
 def unit_quaternion(orientation: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return a quaternion (x, y, z, w) scaled to length 1, as a tuple; five times as fast as `normalized`.
+    """Return what `normalized` does, as a tuple (x, y, z, w); five times as fast.
 
     Raises:
         ValueError: if it is not finite or has no length.
@@ -76,7 +76,7 @@ def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]
 
 
 def rotated_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[float]:
-    """Return a unit quaternion (x, y, z, w) rotated by a rotation vector of at most pi [rad]."""
+    """Return a unit quaternion (x, y, z, w), then rotated by a vector in the world's frame of at most pi [rad]."""
     x, y, z = rotation
     angle = math.sqrt(x * x + y * y + z * z)
     sine, cosine = sine_and_cosine(0.5 * angle)
@@ -100,7 +100,7 @@ def rotation_matrix(orientation: Array) -> Array:
 
 
 def to_body_frame(pose: Array, points: Array) -> Array:
-    """Transform points (3, m) [m] from the world's frame to that of a body with a pose, 7 numbers; shape (m, 3)."""
+    """Return points (3, m) [m] of the world's frame in that of a body with a pose, 7 numbers; shape (m, 3)."""
     x, y, z = points - pose[:3, None]
     rotation = rotation_matrix(pose[3:])
     return np.stack([rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z for i in range(3)], axis=1)
@@ -161,7 +161,7 @@ def rigid_velocities(row: Array, t: float, h: float, x: Array) -> Array:
 
 
 class PathPlanner:
-    """Planner of smooth paths of grippers and obstacles to their targets, frame by frame."""
+    """Planner of smooth paths of grippers and obstacles to their targets, one for a simulation, frame by frame."""
 
     def __init__(self) -> None:
         # Arrays that the last frame returned, and their addresses: the next call mostly takes them.
@@ -171,7 +171,7 @@ class PathPlanner:
     def plan(
         self, t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
     ) -> tuple[Array, Array, Array, list[float]]:
-        """Plan cubic paths from pose and twist to the targets over one frame; return paths and end twists.
+        """Return cubic paths to the targets over one frame, end twists, displacements, and changes of these.
 
         The end velocity is the part of this frame's mean velocity that agrees with that of the last frame. A steady
         stream of targets is followed without ripple. A jump arrives at rest without overshoot (docs/design.md).
@@ -213,5 +213,5 @@ class PathPlanner:
 def plan_paths(
     t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
 ) -> tuple[Array, Array, Array, list[float]]:
-    """Plan cubic paths for a single frame, as `PathPlanner.plan` does."""
+    """Return for a single frame what `PathPlanner.plan` does: paths, end twists, displacements, changes."""
     return PathPlanner().plan(t, duration, poses, twists, previous, targets)

@@ -61,7 +61,7 @@ MAX_STEPS = 2**31 - 1
 
 
 def compile(model: Model) -> Plan:
-    """Compile a model to a plan, through which the engine computes its motion.
+    """Return a model compiled to a plan, through which the engine computes its motion; refuse forces that do not fit.
 
     Raises:
         ValueError: if a force does not fit the model.
@@ -151,7 +151,7 @@ class Plan(PlanQueries, Uncopyable):
     def change_uniform(
         self, forces: Sequence[Force], uniform: Sequence[Force], *, air_coefficients: Array | None = None
     ) -> None:
-        """Replace forces by others that differ only in gravity, drag and wind.
+        """Replace the model's forces, in place, by others that differ only in gravity, drag and wind.
 
         Args:
             forces: all forces of the model.
@@ -171,7 +171,7 @@ class Plan(PlanQueries, Uncopyable):
 
     @property
     def controls(self) -> Controls:
-        """Inputs of the frame: grasped particles, paths, jaws; the next run or query uploads those that changed."""
+        """Inputs of the frame, settable: grasps, paths, jaws; the next run or query uploads those that changed."""
         contact = self.contact
         return Controls(
             None if self.grips is None else self.grips.controls, None if contact is None else contact.force.controls
@@ -186,7 +186,7 @@ class Plan(PlanQueries, Uncopyable):
 
     @property
     def obstacle_count(self) -> int:
-        """Number of obstacles."""
+        """Number of obstacles, two jaws of each pinching gripper included."""
         return 0 if self.contact is None else self.contact.count
 
     @property
@@ -351,7 +351,7 @@ class Plan(PlanQueries, Uncopyable):
         return float64_address("x", x, self._shape), float64_address("v", v, self._shape)
 
     def _request_steps(self, steps: Sequence[int]) -> None:
-        """Check the numbers of steps of runs and write them into the engine's request."""
+        """Check the numbers of steps of runs and write them into the engine's request, or raise ValueError."""
         self._requested_steps = None
         count = len(steps)
         if not (1 <= count <= MAX_RUNS and min(steps) >= 1 and max(steps) <= MAX_STEPS):
@@ -380,7 +380,7 @@ class Plan(PlanQueries, Uncopyable):
         return available_threads() if is_long and self._is_shareable else 1
 
     def concurrent_runs(self, runs: int, steps: int, multirate: int) -> int:
-        """Return how many threads may each calculate a run: all available ones, or 1 if that does not pay.
+        """Return the number of runs to calculate at once, each by one thread; 1 if more do not pay.
 
         It is above 1 if the engine calculates alone and the runs are long enough to wake a thread. Sharing each run
         between threads must not be better. Runs with contact of the surface do not share their steps.
@@ -413,7 +413,7 @@ class Plan(PlanQueries, Uncopyable):
     def predict_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY
     ) -> tuple[float, float]:
-        """Return bounds of squared frequency and damping rate that contact may add within a duration [s] from t [s] on.
+        """Predict bounds of squared frequency and damping rate that contact may add within a duration [s] from t [s].
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
@@ -421,7 +421,7 @@ class Plan(PlanQueries, Uncopyable):
         return (0.0, 0.0) if self.contact is None else self.contact.predict_contact(t, duration, x, v, memory)[:2]
 
     def add_force(self, t: float, x: Array, v: Array, f: Array, memory: StateMemory = MISSING_MEMORY) -> None:
-        """Add the forces [N] on free particles at time t [s] to ``f`` (3, n)."""
+        """Add the forces [N] on free particles at time t [s] to ``f`` (3, n), in place."""
         out = np.empty(self._shape)
         self.accelerations(t, x, v, out, memory)
         f += self.momenta(x, out)
@@ -453,7 +453,7 @@ class Plan(PlanQueries, Uncopyable):
         return ends
 
     def update_after_step(self, t: float, h: float, state: State) -> float:
-        """Update jaws, friction anchors, plastic lengths after a step; return the work of bending friction [J].
+        """Replace jaws, anchors, plastic lengths in a state's memory after a step; return bending friction's work [J].
 
         The step held them constant.
 
@@ -486,7 +486,7 @@ class Plan(PlanQueries, Uncopyable):
 
 
 def _check_multirate(multirate: int, steps: Sequence[int]) -> None:
-    """Raise an error if a multirate ratio is not odd, or does not divide all numbers of steps."""
+    """Raise ValueError if a multirate ratio is not odd, or does not divide all numbers of steps."""
     is_odd = type(multirate) is int and multirate > 0 and multirate % 2 == 1
     if not is_odd or any(n_steps % multirate for n_steps in steps):
         raise ValueError(

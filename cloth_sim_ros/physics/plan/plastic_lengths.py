@@ -57,7 +57,7 @@ class PlasticLengths(Uncopyable):
         return lengths if lengths is not None and lengths.shape == self._rest_lengths.shape else self._rest_lengths
 
     def end_buffer(self, runs: int) -> Array:
-        """Allocate an uninitialised array for the plastic lengths at the ends of runs, shape (runs, hinges)."""
+        """Return an uninitialised array for the plastic lengths at the ends of runs, shape (runs, hinges)."""
         return np.empty((runs, len(self._rest_lengths)))
 
     def combine(self, x: Array, ends: Array, weights: Sequence[float]) -> tuple[Array, float]:

@@ -29,7 +29,7 @@ class PythonForces:
         self.callback = CALLBACK(_make_callback(weakref.ref(self)))
 
     def raise_pending(self) -> None:
-        """Raise the exception of a Python force that ended a run.
+        """Raise and forget the exception of a Python force that ended a run; without one, KeyboardInterrupt.
 
         Raises:
             Exception: the exception of a force.

@@ -52,7 +52,7 @@ class PlanQueries:
     _query_address: int
 
     def _raise_for_status(self, status: int) -> None:
-        """Raise the error of an engine call's status, or the exception of a Python force."""
+        """Raise the error of an engine call's status unless it is 0, or a Python force's exception."""
         if status == 3 and self._python_callback is not None:
             self._python_callback.raise_pending()
         check(status)
@@ -75,7 +75,7 @@ class PlanQueries:
         return omega2, damping
 
     def detailed_spectral_bounds(self, x: Array, *, hinges: bool = False) -> list[float]:
-        """Return spectral bounds without contact: of the whole, of hinges alone, and across springs; five numbers.
+        """Return bounds without contact: omega2 and damping of all, of hinges alone, and omega2 across springs.
 
         Args:
             x: positions [m], shape (3, n).
@@ -100,7 +100,7 @@ class PlanQueries:
         return bounds
 
     def turn_in_step(self, x0: Array, x: Array, steps: int) -> float:
-        """Return the largest angle by which a spring turns in a step of an interval [rad].
+        """Return the largest angle [rad] by which a spring turns in one of an interval's steps.
 
         Each spring's vector is assumed to change steadily over the interval, and half a step before and after. The
         angle is the one at its shortest length. A spring (S1) turns its force round as its ends pass each other.
@@ -144,7 +144,7 @@ class PlanQueries:
         return displacement, int(evaluations)
 
     def min_damping_time(self) -> float:
-        """Return the least ratio of damping to stiffness, c / k [s], of springs and grips; 0 if one is undamped."""
+        """Return the least c / k [s] of springs, membranes and grips; 0 if one is undamped, infinity without any."""
         grips = self._grip_binding
         return self._min_damping_time if grips is None else min(self._min_damping_time, grips.min_damping_time())
 
@@ -191,7 +191,7 @@ class PlanQueries:
         return 0.5 * weighted_dot(np.ones_like(masses), self.momenta(x, v) - masses * v, v)
 
     def powers(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> tuple[float, float]:
-        """Return the power that springs and drag dissipate, and that of wind [W]; without grips and contact."""
+        """Return two powers [W]: dissipated by springs and drag, without grips and contact; and external."""
         self._upload(memory)
         out = np.empty(2)
         addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape)
@@ -210,7 +210,7 @@ class PlanQueries:
         return is_free
 
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
-        """Set x [m], v [m/s] of prescribed particles to their gripper's; return impulses, work and dissipation."""
+        """Set x, v of prescribed particles to their gripper's; return impulses, work, dissipation, (grippers, 8)."""
         if self._grip_binding is None:
             return np.zeros((0, RECORD_NUMBERS))
         return self._grip_binding.prescribe(t, x, v)
@@ -218,7 +218,7 @@ class PlanQueries:
     def grip_wrench_rates(
         self, t: float, x: Array, v: Array, weight: float = 1.0, memory: StateMemory = MISSING_MEMORY
     ) -> Array:
-        """Return the wrench of the cloth on each gripper, the gripper's power on the cloth, and its grips' dissipation.
+        """Return per gripper, (grippers, 8): wrench of the cloth on it, its power on the cloth, dissipation of grips.
 
         Args:
             t: time [s].
@@ -251,13 +251,13 @@ class PlanQueries:
         return ordered_sum(self.contact.wrench_rates(t, x, v, memory)[:, 7].tolist(), dissipated)
 
     def external_power(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
-        """Return the external power [W]: that of wind on the cloth, and that of Python forces."""
+        """Return the external power [W], of wind and Python forces together."""
         return self.powers(t, x, v, memory)[1]
 
     def add_bounds(
         self, x: Array, stiff: Array, damped: Array, t: float = 0.0, memory: StateMemory = MISSING_MEMORY
     ) -> None:
-        """Add particle blocks B (6, n) that bound stiffness [N/m] and damping [N s/m]: u'Ku <= sum of u_i' B_i u_i."""
+        """Add blocks B (6, n) that bound stiffness [N/m] and damping [N s/m] to `stiff`, `damped`: u'Ku <= u'Bu."""
         self._upload(memory)
         shape = (6, self.model.particle_count)
         addresses = writable_address("stiff", stiff, shape), writable_address("damped", damped, shape)

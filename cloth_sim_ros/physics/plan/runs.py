@@ -72,7 +72,7 @@ class Run(NamedTuple):
 
     @property
     def encountered_energy(self) -> float:
-        """Largest energy per mass that an obstacle contact had to absorb in the run (unit U^2/2 of the contact law)."""
+        """Largest energy per mass (unit U^2/2) that an obstacle contact had to absorb in the run; 0 without contact."""
         return self.contact_summary[0]
 
     @property
@@ -87,7 +87,7 @@ class Run(NamedTuple):
 
     @property
     def contact_summary(self) -> tuple[float, float, tuple[float, float]]:
-        """Largest contact energy, least gap [m] and bounds of self-contact of the run: three properties in one read."""
+        """`encountered_energy`, `min_gap` and `self_contact` of the run, in one read."""
         size = self._base_size
         if len(self.integrals) == size:
             return 0.0, math.inf, (0.0, 0.0)
@@ -95,8 +95,8 @@ class Run(NamedTuple):
         return energy, gap, (omega2, damping)
 
     @property
-    def violated_culling(self) -> bool:
-        """True if the requested runs were repeated because one of them violated the culling of contact."""
+    def repeated_without_culling(self) -> bool:
+        """True if this and the other requested runs are repetitions, because one of them violated contact's culling."""
         return self._has_contact and bool(self.integrals[VIOLATION_INDEX])
 
     @property

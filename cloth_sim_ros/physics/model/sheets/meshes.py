@@ -69,7 +69,7 @@ def checked_mesh(
     merge_limit: float = 0.0,
     scale: float = 1.0,
 ) -> CheckedMesh:
-    """Check vertices (n, 3) and triangles (m, 3), and repair faults without changing the cloth.
+    """Return a checked mesh of vertices (n, 3) and triangles (m, 3): faults are repaired, or raise SurfaceError.
 
     Args:
         positions: positions of the vertices [m / scale].
@@ -115,7 +115,7 @@ def _checked_surface(
     *,
     is_unmerged: bool,
 ) -> CheckedMesh:
-    """Clean, orient and check triangles after copies of vertices were merged; return the cloth's mesh.
+    """Clean, orient and check triangles after copies of vertices were merged; return the mesh, add to `repairs`.
 
     Args:
         points: vertices [m], (n, 3).
@@ -165,7 +165,7 @@ def _checked_surface(
 def _merge_vertices(
     points: Array, faces: NDArray[np.int64], limit: float, notes: list[str]
 ) -> tuple[NDArray[np.int64], int]:
-    """Merge vertices closer than a limit into the lowest; return triangles and number of merged vertices."""
+    """Merge vertices closer than a limit into the lowest; return triangles and number of merged ones, add a note."""
     used = np.unique(faces)
     lowest = used[clusters(points[used], limit)]
     moved_rows = np.flatnonzero(lowest != used)
@@ -197,7 +197,7 @@ def _merge_vertices(
 
 
 def triangulate(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64]:
-    """Cut polygons into triangles; return their vertex indices, (m, 3), in the order of the polygons.
+    """Return triangles (m, 3) that fill polygons, in their order; raise SurfaceError for one that no fan fills.
 
     Each polygon is cut into a fan. The fan starts at the first corner for which no triangle lies outside the polygon,
     measured against the polygon's area vector (Newell). Therefore a concave face is cut along an inner diagonal.
@@ -328,7 +328,7 @@ def _remove_repeats(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.
 
 
 def _remove_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
-    """Remove triangles with a repeated vertex; raise an error for thin ones, whose removal would open the surface."""
+    """Return triangles without repeated vertices, add to `repairs`; raise SurfaceError for thin ones."""
     is_collapsed = _has_repeated_vertex(faces)
     if np.any(is_collapsed):
         repairs.append(f"{pluralize(int(is_collapsed.sum()), 'triangle')} with a repeated vertex left out")
@@ -366,7 +366,7 @@ def _check_edges(faces: NDArray[np.int64], points: Array) -> None:
 
 
 def _orient_alike(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
-    """Reverse triangles until neighbours have the same orientation; in every piece the majority stays as given."""
+    """Return triangles wound alike, by each piece's majority; add to `repairs`, raise SurfaceError if one-sided."""
     tail, head = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     order = np.lexsort((high, low))

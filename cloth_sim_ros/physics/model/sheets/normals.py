@@ -11,7 +11,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def vertex_normals(x: Array, triangles: NDArray[np.int64]) -> Array:
-    """Return the unit normal at each particle, shape (3, n): the mean of its triangles' normals, weighted by area.
+    """Return the unit normal at each particle, shape (3, n): mean of its triangles' normals, weighted by area.
 
     The same bits on every machine: sums have the order of the triangles.
 

@@ -36,7 +36,7 @@ class RawSprings:
 
     @classmethod
     def from_tables(cls, tables: dict[str, Any]) -> RawSprings:
-        """Build the springs and particles from the named tables of a springs file.
+        """Return the springs and particles of the named tables of a springs file, checked.
 
         Args:
             tables: the tables:
@@ -97,11 +97,11 @@ class RawSprings:
         return cls(start=positions, velocities=velocities, mass=masses, term=term, surface_triangles=triangles)
 
     def positions(self) -> Array:
-        """Starting positions [m], shape (particle_count, 3)."""
+        """Return a copy of the starting positions [m], shape (particle_count, 3)."""
         return self.start.copy()
 
     def masses(self, density: float) -> Array:
-        """Return the given particle masses [kg], shape (particle_count,); the density is not used."""
+        """Return a copy of the given particle masses [kg], shape (particle_count,); the density is not used."""
         return self.mass.copy()
 
     def triangles(self) -> NDArray[np.int64]:
@@ -119,7 +119,7 @@ class RawSprings:
 
     @cached_property
     def surface(self) -> Surface:
-        """Topology of the triangles: edges, hinges, boundary.
+        """Topology of the triangles: edges, hinges, boundary; computed and checked at first access.
 
         Raises:
             ValueError: for triangles that are no oriented surface.

@@ -28,7 +28,7 @@ class RestAngles:
 
     @classmethod
     def from_tables(cls, tables: dict[str, Any]) -> RestAngles:
-        """Read rest angles from the tables `edges` (m, 2) and `angles` [rad], one number or m.
+        """Return rest angles from the tables `edges` (m, 2) and `angles` [rad], one number or m.
 
         Raises:
             ValueError: naming the table and the fault.
@@ -52,7 +52,7 @@ class RestAngles:
         return cls(edges=edges, angles=angles)
 
     def of_hinges(self, hinges: NDArray[np.int64]) -> Array:
-        """Return the rest angle of each hinge (h, 4) [rad], NaN without one, shape (h,).
+        """Return the rest angle of each hinge (h, 4) [rad], NaN without one, (h,); refuse an edge without hinge.
 
         Raises:
             ValueError: for an edge without hinge.

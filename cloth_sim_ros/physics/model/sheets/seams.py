@@ -59,7 +59,7 @@ def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> OpenSeam | None:
-    """Summarize a mesh's border vertices that nearly touch but are not joined; None if there are none.
+    """Return a summary of a mesh's border vertices that nearly touch but are not joined; None if there are none.
 
     Args:
         points: vertices [m], (n, 3).

@@ -45,7 +45,7 @@ class ShapeOperator:
 
     @classmethod
     def of(cls, triangles: NDArray[np.int64], positions: ArrayLike, *, warp: ArrayLike) -> ShapeOperator:
-        """Build the shape operator of triangles (m, 3) from the rest positions of their particles (n, 3) [m].
+        """Return the shape operator of triangles (m, 3) from the rest positions of their particles (n, 3) [m].
 
         A curved surface counts as unfolded about each edge: its rest is flat.
 
@@ -246,7 +246,7 @@ def _independent_neighbours(gram: Array, has_neighbour: NDArray[np.bool_]) -> ND
 
 
 def _masked_inverse(gram: Array, used: NDArray[np.bool_]) -> Array:
-    """Invert the masked rows and columns of symmetric matrices (m, 3, 3); the other entries are 0."""
+    """Return the inverses of the masked rows and columns of symmetric matrices (m, 3, 3); other entries are 0."""
     mask = used[:, :, None] & used[:, None, :]
     g = np.where(mask, gram, np.where(np.eye(3, dtype=np.bool_), 1.0, 0.0))
     cofactors = np.empty_like(g)
@@ -284,7 +284,7 @@ def _curvature_weights(
 
 
 def _merge_equal(particles: NDArray[np.int64], weights: Array) -> tuple[NDArray[np.int64], Array]:
-    """Merge equal particles in each row by adding their weights; particles ascend, -1 after the last."""
+    """Return particles (m, 12) and summed weights (m, 3, 12) without repetitions; particles ascend, then -1."""
     order = np.argsort(particles, axis=1, kind="stable")
     ascending = np.take_along_axis(particles, order, axis=1)
     is_new = np.diff(ascending, axis=1, prepend=-1) > 0

@@ -40,7 +40,7 @@ class SurfaceError(ValueError):
 
 @attrs.frozen(eq=False, kw_only=True)
 class Surface:
-    """An oriented manifold surface with or without boundary, of one or more pieces.
+    """Oriented manifold surface with or without boundary, of one or more pieces.
 
     Build it with `Surface.from_triangles`, which checks; the constructor does not.
     """
@@ -58,7 +58,7 @@ class Surface:
 
     @classmethod
     def from_triangles(cls, triangles: ArrayLike, *, particle_count: int | None = None) -> Surface:
-        """Build a surface from triangles: find edges and boundary, and check that it is an oriented manifold.
+        """Return the surface of triangles (m, 3); raise SurfaceError if it is no oriented manifold.
 
         Args:
             triangles: particles of each triangle, (m, 3).
@@ -108,15 +108,12 @@ class Surface:
 
     @property
     def hinge_edges(self) -> IndexArray:
-        """Indices into `edges` of the interior edges, one for each hinge, (h,)."""
+        """Indices into `edges` of the interior edges, one for each hinge, (h,); computed at each access."""
         return np.flatnonzero(self.edge_triangles[:, 1] >= 0)
 
     @property
     def hinges(self) -> IndexArray:
-        """Particles `(edge0, edge1, wing0, wing1)` of every interior edge, in the order of `edges`, (h, 4).
-
-        A new array on each access.
-        """
+        """Particles `(edge0, edge1, wing0, wing1)` of each interior edge, ordered as `edges`, (h, 4); a new array."""
         inner = self.hinge_edges
         low, high = self.edges[inner].T[:, :, None]
         first_triangles, second_triangles = (self.triangles[triangles] for triangles in self.edge_triangles[inner].T)
@@ -150,7 +147,7 @@ class Surface:
         return component_labels(self.edge_triangles[self.hinge_edges], len(self.triangles))
 
     def _check_fans(self) -> None:
-        """Raise an error if two fans of triangles touch at a particle without sharing an edge."""
+        """Raise SurfaceError if two fans of triangles touch at a particle without sharing an edge."""
         is_split = self._split_particles()
         if np.any(is_split):
             raise SurfaceError(
@@ -189,7 +186,7 @@ def opposite_pairs(hinges: ArrayLike, existing: ArrayLike | None = None) -> Inde
 
 
 def needs_opposite_spring(hinges: ArrayLike, existing: ArrayLike | None = None) -> NDArray[np.bool_]:
-    """Return a mask of hinges that need a bending spring: no existing spring (m, 2) joins their wings, (h,)."""
+    """Return a mask (h,) of hinges that need a bending spring: no existing pair (m, 2) joins their wings."""
     wings = np.sort(np.asarray(hinges, dtype=np.int64).reshape(-1, 4)[:, 2:], axis=1)
     if existing is None:
         return np.ones(len(wings), dtype=np.bool_)
@@ -255,7 +252,7 @@ def checkerboards(rows: int, columns: int) -> tuple[IndexArray, IndexArray]:
 
 
 def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
-    """Return the four corners of every cell, and a mask of cells that the left diagonal cuts, (cells,) each."""
+    """Return corners (r, c), (r, c+1), (r+1, c), (r+1, c+1) of cells and a mask of those cut left, (cells,) each."""
     if rows < 2 or columns < 2:
         raise ValueError(f"a grid surface needs at least 2 x 2 particles, not {rows} x {columns}")
     if layout not in LAYOUTS:
@@ -268,7 +265,7 @@ def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
 
 
 def _checked_triangles(triangles: ArrayLike, particle_count: int | None) -> IndexArray:
-    """Check the indices of triangles and return them as an (m, 3) int64 array."""
+    """Return the particles of triangles as an (m, 3) int64 array; raise SurfaceError for bad indices."""
     index_array = np.asarray(triangles)
     if index_array.size == 0:
         index_array = np.zeros((0, 3), dtype=np.int64)

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def checked_table(name: str, value: Any, dtype: type, columns: int) -> Any:
-    """Check a table and return it as an array (rows, columns) of finite numbers of a type.
+    """Return a table as a new array (rows, columns) of finite numbers of a type; refuse other contents.
 
     Raises:
         ValueError: naming the table and the fault.
@@ -43,7 +43,7 @@ def _real_array(name: str, value: Any) -> Array:
 
 
 def checked_column(name: str, value: Any, count: int) -> Array:
-    """Check a table of one number a row and return it, (count,); a single number stands for all rows.
+    """Return a table of one number a row as a new array (count,); a single number stands for all rows.
 
     Raises:
         ValueError: naming the table and the fault.
