@@ -123,42 +123,42 @@ def test_transverse_waves_grow_beyond_half_a_period() -> None:
 
 def test_ratio_of_least_cost_is_chosen() -> None:
     soft = rule(1e9, (1e-6, 0.0, 0.0))
-    soft.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
+    soft.choose_ratio(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert soft.ratio == MAX_RATIO
     # 28 steps are four impulses of seven steps, but too few for four of nine.
     short = rule(1e9, (1e-6, 0.0, 0.0))
-    short.choose(np.zeros((3, 1)), 1e-3, 28e-3, 1)
+    short.choose_ratio(np.zeros((3, 1)), 1e-3, 28e-3, 1)
     assert short.ratio == 7
     # Stiffer hinges require impulses so frequent that steps would become shorter.
     stiff = rule(1e9, (3e6, 0.0, 0.0))
-    stiff.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
+    stiff.choose_ratio(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert stiff.ratio == 1
     # Cheap hinges do not justify further steps.
     cheap = rule(1e9, (1e-6, 0.0, 0.0), bent=0.01)
-    cheap.choose(np.zeros((3, 1)), 1e-3, 37e-3, 1)
+    cheap.choose_ratio(np.zeros((3, 1)), 1e-3, 37e-3, 1)
     assert cheap.ratio == 1
 
 
 def test_ratio_is_kept_while_it_pays() -> None:
     soft = rule(1e9, (1e-6, 0.0, 0.0), ratio=3)
-    soft.keep(1e-3, 36e-3)
+    soft.keep_ratio(1e-3, 36e-3)
     assert soft.ratio == 3
     stiff = rule(1e9, (3e6, 0.0, 0.0), ratio=3)
-    stiff.keep(1e-3, 36e-3)
+    stiff.keep_ratio(1e-3, 36e-3)
     assert stiff.ratio == 1
     # 34 steps are fewer than four impulses of nine steps.
     short = rule(1e9, (1e-6, 0.0, 0.0), ratio=9)
-    short.keep(1e-3, 34e-3)
+    short.keep_ratio(1e-3, 34e-3)
     assert short.ratio == 1
 
 
 def test_combined_runs_set_the_ratio_to_one_for_some_estimates() -> None:
     at = rule(1e9, (1e-6, 0.0, 0.0), ratio=9)
-    at.choose(np.zeros((3, 1)), 1e-3, 36e-3, 2)
+    at.choose_ratio(np.zeros((3, 1)), 1e-3, 36e-3, 2)
     assert at.ratio == 1
     chosen = []
     for _ in range(20):
-        at.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
+        at.choose_ratio(np.zeros((3, 1)), 1e-3, 36e-3, 1)
         chosen.append(at.ratio)
     assert chosen == [1] * 15 + [MAX_RATIO] * 5
 
@@ -173,7 +173,7 @@ def test_interval_has_at_least_four_impulses() -> None:
 
 def test_undamped_springs_set_the_ratio_to_one() -> None:
     undamped = rule(0.0, (1e-6, 0.0, 0.0), ratio=9)
-    undamped.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
+    undamped.choose_ratio(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert undamped.ratio == 1
     assert undamped.ratio_within(1.0, 45.0) == (1, 1.0)
 

@@ -401,7 +401,7 @@ class ContactBinding(Uncopyable):
         return self._out[0], self._out[1]
 
     def contact_energy(self, gap: float) -> float:
-        """Return the energy per mass (unit U^2/2 of the contact law) of a contact at a gap [m]; infinite up to 0."""
+        """Return the energy per mass (unit U^2/2 of the contact law) of a contact at a gap [m]; infinite if <= 0."""
         s = min(max(gap / self.force.thickness, 0.0), 1.0)
         squared = (1.0 - s) * (1.0 - s)
         return squared * squared / s if s else math.inf

@@ -286,9 +286,9 @@ class Controller:
         """Set and return the multirate ratio of this advance; a changed ratio sets an error estimate due."""
         rule, recorded_ratio = self._multirate, self._multirate.memory.ratio
         if self.estimates_error:
-            rule.choose(self._state.x, max_step, self._duration, self.n_runs)
+            rule.choose_ratio(self._state.x, max_step, self._duration, self.n_runs)
         else:
-            rule.keep(max_step, self._duration)
+            rule.keep_ratio(max_step, self._duration)
         self.estimates_error = self.estimates_error or (self._has_tolerance and rule.ratio != recorded_ratio)
         return rule.ratio
 
@@ -389,7 +389,7 @@ class Controller:
     # Rule 1: stability.
 
     def is_stable(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
-        """Calculate the chosen runs; return true if they are finite, with steps below the limit that they met."""
+        """Calculate the chosen runs; return true if they are finite, with steps within the limit that they met."""
         n_runs = self.n_runs
         evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
@@ -452,7 +452,7 @@ class Controller:
         return math.inf if self.estimates_error else error
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
-        """Return the error of a piece [m] by further runs, whose work counts; raise `n_runs` if that suffices.
+        """Return the error of a piece [m] by further runs, whose work counts; set `n_runs` to one that suffices.
 
         If the error is above its target, further runs show whether more runs or finer steps are better.
 
@@ -593,7 +593,7 @@ class Controller:
         # The pieces of a stretch share the rounding error of one run, because it cancels over them.
         fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
         choice = self._estimate.errors, refinement, target, self._stability, piece.length
-        return self._error.choose(*choice, rounding_fraction=fraction, rounded_steps=rounded_steps)
+        return self._error.choose_runs(*choice, rounding_fraction=fraction, rounded_steps=rounded_steps)
 
     def _requires_much_more(self, refinement: float) -> bool:
         """Return True if a refinement is far above the present one, after a rejected attempt or in rough motion."""
@@ -787,7 +787,7 @@ class Controller:
         """Record the error estimates of a frame, and choose runs and refinement of the next for a target [m]."""
         frame, refinement, choice = self._frame, self._applied_refinement, (self._stability, self._duration)
         # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
-        next_runs, next_refinement = self._error.choose(
+        next_runs, next_refinement = self._error.choose_runs(
             frame.errors, refinement, target, *choice, rounding_fraction=frame.n_pieces, present_runs=self.n_runs
         )
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.

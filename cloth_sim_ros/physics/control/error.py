@@ -25,8 +25,8 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
     RATIOS,
     VELOCITY_ERROR_TIME,
-    rounding_amplification,
     error_coefficient,
+    rounding_amplification,
 )
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
@@ -187,7 +187,7 @@ class ErrorRule:
         scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
         return scale * memory.error * fraction, lower_order_error
 
-    def choose(
+    def choose_runs(
         self,
         errors: Sequence[float],
         refinement: float,

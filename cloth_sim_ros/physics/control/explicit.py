@@ -93,7 +93,7 @@ class ExplicitIntegrator(Integrator):
 def integrate(
     controller: Controller, state: State, start: State, t: float, duration: float, accumulator: WorkAccumulator | None
 ) -> bool:
-    """Move the state through a frame, piece by piece; return False, anywhere in it, if explicit steps are abandoned.
+    """Move the state through a frame, piece by piece; return False, before its end, if explicit steps are abandoned.
 
     Args:
         controller: chooses runs, steps and lengths.

@@ -54,7 +54,7 @@ class MultirateRule:
     def bounds(self, bounds: Sequence[float]) -> None:
         self.memory.omega2, self.memory.damping, self.memory.transverse_omega2 = bounds
 
-    def keep(self, max_step: float, duration: float) -> None:
+    def keep_ratio(self, max_step: float, duration: float) -> None:
         """Keep the `ratio` of the last advance, or set it to 1 if that is cheaper.
 
         Args:
@@ -64,7 +64,7 @@ class MultirateRule:
         if self._min_damping_time and self._cost(self.ratio, max_step, duration) > self._cost(1, max_step, duration):
             self.ratio = 1
 
-    def choose(self, x: Array, max_step: float, duration: float, n_runs: int) -> None:
+    def choose_ratio(self, x: Array, max_step: float, duration: float, n_runs: int) -> None:
         """Set `ratio` to that of least cost; to 1 if runs are combined, and for some estimates after that.
 
         A refinement for accuracy keeps the ratio, so that the error decreases with its order. The error of impulses is

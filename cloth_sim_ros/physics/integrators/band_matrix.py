@@ -34,7 +34,7 @@ def _second_thread() -> ThreadPoolExecutor:
 
 
 def _start(is_worth_a_thread: bool, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
-    """Start a call for a matrix's lower half, in the second thread if that pays and is free; return how to wait for it.
+    """Call a function, in the second thread if that pays; return a function that waits for the result and returns it.
 
     A call that is shorter than waking a thread is over when this function returns.
     """

@@ -76,7 +76,7 @@ def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]
 
 
 def rotated_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[float]:
-    """Return a unit quaternion (x, y, z, w), then rotated by a vector in the world's frame of at most pi [rad]."""
+    """Return a unit quaternion (x, y, z, w) rotated further, in the world's frame, by a vector of at most pi [rad]."""
     x, y, z = rotation
     angle = math.sqrt(x * x + y * y + z * z)
     sine, cosine = sine_and_cosine(0.5 * angle)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NoReturn
 
 
 class Uncopyable:
-    """Base class of objects that `copy` and `pickle` refuse, because a copy would use the same memory of the engine."""
+    """Base class of objects that `copy` and `pickle` refuse (TypeError), because they use memory of the engine."""
 
     #: Cause and remedy in the error.
     copy_refusal: ClassVar[str] = (

@@ -145,7 +145,7 @@ class ErrorState(ControllerState):
 
 @attrs.define
 class ContactState(ControllerState):
-    """State of `ContactStepLimit`: largest contact energy per mass of the last frame with an error estimate."""
+    """State of contact in step control: largest contact energy per mass of the last frame with an error estimate."""
 
     key = "control.contact"
 

@@ -173,7 +173,7 @@ class State:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> State:
-        """Return the state that `to_bytes` wrote; raise ValueError for other bytes.
+        """Return the state of bytes from `to_bytes`; raise ValueError for invalid ones.
 
         Raises:
             ValueError: if the bytes are no state; the message names the array and the fault.

@@ -168,7 +168,7 @@ class Contact(EngineForce):
     def start_recovery(
         self, t: float, duration: float = 0.0, thickness: Array | None = None, start: Array | None = None
     ) -> None:
-        """Start growth of the contact thickness from `start` to `thickness` [m] in a duration [s]; None ends it.
+        """Start growth of the contact thickness from `start` to `thickness` [m] in a duration [s]; None stops it.
 
         Args:
             t: start of the recovery [s].

@@ -52,7 +52,7 @@ class MeshSheet:
     def springs(
         self, *, stretch_modulus: float, k_d0: float, density: float, viscosity: float = 0.0, name: str = "structural"
     ) -> PairSprings:
-        """Return edge springs that give a sheet Young's modulus `stretch_modulus` [N/m], Poisson's ratio 1/3.
+        """Return edge springs of a sheet of Young's modulus `stretch_modulus` [N/m], exact on regular triangles.
 
         An edge of length L between triangles of areas A1, A2 has k = Y (A1 + A2) / L^2 (van Gelder, J. Graphics Tools
         3(2), 1998). A border edge has one triangle. On equilateral triangles the formula is exact: k = Y sqrt(3)/2,
