@@ -10,10 +10,9 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class EnergyBalance:
-    """Sums [J] of dissipation, and of the work of grippers, obstacles and wind, over advances.
+    """Energy sums [J] over the advances of a motion: pass `accumulator` to each advance, then call `close`.
 
-    residual = E - E at the start - work - wind work - recovery work + dissipation. Pass `accumulator` to the
-    integrator, then call `close` after the advance.
+    residual = E - E at the start - work - wind work - recovery work + dissipation.
 
     Args:
         plan: equations of motion.

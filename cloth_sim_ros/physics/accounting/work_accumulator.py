@@ -40,7 +40,7 @@ class WorkAccumulator:
         self._duration = 0.0
 
     def reset(self) -> None:
-        """Set all sums to zero for a new attempt of the advance."""
+        """Set all sums to zero for an advance, or for a new attempt of it."""
         self._sums, self._friction_work, self._recovery_work, self._duration = self._zeros, 0.0, 0.0, 0.0
 
     def save(self) -> tuple[Array, float, float, float]:

@@ -35,7 +35,7 @@ INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler
 def make_integrator(
     name: str, *, step: float | None = None, tolerance: float | None = None, work: float = 0.0
 ) -> Integrator:
-    """Return a new integrator of a name, with a fixed step [s], or else a tolerance [m], and a work limit.
+    """Return a new integrator by name, with a step [s], or else a tolerance [m], and a work limit; refuse other names.
 
     Args:
         name: one of `INTEGRATORS`.

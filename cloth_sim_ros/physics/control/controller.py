@@ -152,7 +152,7 @@ class Controller:
 
     @cached_property
     def _energy(self) -> EnergyRule:
-        """Energy rule, which most frames do not need."""
+        """Energy rule, created at first access, because most frames do not need it."""
         return EnergyRule(self._plan, EnergyState.load(self._state), self._last_refinement)
 
     @cached_property
@@ -175,7 +175,7 @@ class Controller:
         return self._may_touch and self._has_tolerance and not self.in_fallback
 
     def use_reserve(self) -> None:
-        """Restart the frame as a fallback: single runs of the longest stable steps, with the reserved work."""
+        """Reset the controller, not the state, to a fallback: single runs of the longest steps, with reserved work."""
         self.in_fallback, self.exhausted, self.abandoned, self._may_turn = True, True, False, False
         self.n_runs, self.refinement = 1, 1.0
         self.work.grant_reserve()

@@ -119,7 +119,7 @@ class ErrorRule:
 
     @cached_property
     def _position_rounding(self) -> float:
-        """Rounding error of a run's positions [m]; most frames do not need it."""
+        """Rounding error of a run's positions [m], calculated at first access."""
         return _COORDINATE_ROUNDINGS * _EPSILON * largest_component(self._x)
 
     def rounding_floor(self, n_runs: int, steps: int = 0) -> float:

@@ -215,7 +215,7 @@ class ImplicitAdvance:
         return error_sum
 
     def _take_step(self, t: float, h: float, guess: Array) -> tuple[float, Array] | None:
-        """Move the state by a step; with contact, repeat it as two halves if it has no result.
+        """Move the state by a step, or by halves with contact; return error [m] and last acceleration, or None.
 
         Returns:
             Its error [m] and its last acceleration [m/s^2]; None if even the smallest step has no result.
@@ -272,7 +272,7 @@ class ImplicitAdvance:
         return ImplicitStep(end, end_v, k2v, error, stages)
 
     def _descent_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
-        """Return an implicit Euler step by descent, for steps without a solution: stable, but inaccurate.
+        """Return an implicit Euler step by descent, stable but inaccurate, the state unchanged; None if it intersects.
 
         Returns:
             The step; None if an obstacle intersects the cloth for every result.

@@ -62,7 +62,7 @@ class GripBinding(Uncopyable):
         return self.force.controls.grasps.prescribed_particles
 
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
-        """Set x [m] and v [m/s], (3, n), of prescribed particles to their gripper's at time t [s]; return the impulses.
+        """Set x, v (3, n) of prescribed particles to their gripper's at t [s]; return impulses and work, (grippers, 8).
 
         Returns:
             Impulse [N s] (3), angular impulse [N m s] (3), work [J] and dissipation [J] of each gripper by the change

@@ -82,7 +82,7 @@ def compile(model: Model) -> Plan:
     threads="threads_per_run",
 )
 class Plan(PlanQueries, Uncopyable):
-    """Model compiled for the engine: its accelerations, runs, energies and bounds, as sums over its parts.
+    """Model compiled for the engine: accelerations, runs, energies, bounds, as sums over its parts; one call at a time.
 
     Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. A plan is not
     re-entrant: it allows one call at a time.
@@ -211,7 +211,7 @@ class Plan(PlanQueries, Uncopyable):
         memory: StateMemory = MISSING_MEMORY,
         before: tuple[Array, float] | None = None,
     ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
-        """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
+        """Return leapfrog runs over an interval from one start, one for each step count, and their combination or None.
 
         Args:
             t: time at the start [s].

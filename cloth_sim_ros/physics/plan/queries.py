@@ -28,7 +28,7 @@ _NO_PARTICLES: NDArray[np.int64] = np.empty(0, dtype=np.int64)
 
 
 class PlanQueries:
-    """Queries of a plan at positions [m] and velocities [m/s], shape (3, particle_count), float64, C-contiguous.
+    """Base class of `Plan` with its queries at positions [m] and velocities [m/s], shape (3, particle_count), float64.
 
     Contact and friction of bending also depend on the memory of the state, `State.memory`. A plan without them does not
     need it.

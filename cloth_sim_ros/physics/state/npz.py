@@ -44,7 +44,7 @@ def read(data: bytes) -> dict[str, np.ndarray]:
     """Return the arrays of an .npz file by name, from its bytes; refuse damaged, large or pickled ones.
 
     Raises:
-        ValueError: if the bytes are no .npz file, or if it contains objects.
+        ValueError: if the bytes are no .npz file, contain objects, or exceed `MAX_BYTES` or the number of arrays.
     """
     if data[:2] != b"PK":
         raise ValueError("it is no .npz file: it does not start as one")

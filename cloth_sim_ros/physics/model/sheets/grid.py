@@ -65,7 +65,7 @@ class GridSheet:
         return name in self._edges()
 
     def edge(self, name: str) -> NDArray[np.int64]:
-        """Return the particle indices of an edge (top, bottom, left, right) or a corner (top_left, ...).
+        """Return the particles of an edge (top, bottom, left, right) or corner (top_left, ...); refuse other names.
 
         Raises:
             ValueError: for another name.

@@ -65,7 +65,7 @@ class HingeShape:
 
     @classmethod
     def of(cls, hinges: ArrayLike, positions: ArrayLike) -> HingeShape:
-        """Return the shape of hinges (m, 4) at particle positions (n, 3) [m].
+        """Return the shape of hinges (m, 4) at particle positions (n, 3) [m]; refuse triangles without area.
 
         Raises:
             ValueError: for an edge without length or a triangle without area.
@@ -99,7 +99,7 @@ class HingeShape:
 
     @classmethod
     def of_sides(cls, edge: Array, sides: Array, folds: HingeShape) -> HingeShape:
-        """Return hinges of given side lengths of their triangles, with the fold angles of other hinges.
+        """Return hinges of given side lengths, with the folds of other hinges; refuse lengths that make no triangle.
 
         Args:
             edge: length of the shared edge [m], shape (m,).

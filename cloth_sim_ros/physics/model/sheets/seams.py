@@ -126,7 +126,7 @@ def _edge_distances(
 def near_edges(
     points: Array, border: NDArray[np.int64], tree: object, lengths: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return pairs of a border edge and a border vertex in the sphere with that diameter; none if there are too many.
+    """Return border edges and border vertices in the spheres that these span, (p,) each; empty if there are too many.
 
     Args:
         points: vertices [m], (n, 3).
