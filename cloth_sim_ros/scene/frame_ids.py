@@ -12,7 +12,7 @@ from typing import Any
 
 
 def fault(frame_id: str) -> str:
-    """Return the fault of a frame's name and the remedy, as the end of a sentence; empty if the name is valid.
+    """Return the fault of a frame_id and its remedy as the end of a sentence; an empty text if the frame_id is valid.
 
     Args:
         frame_id: the name, not empty.

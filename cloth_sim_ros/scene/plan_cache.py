@@ -38,7 +38,7 @@ class PlanCache:
         self._candidate: tuple[Scene, Plan] | None = None
 
     def change(self, scene: Scene) -> Plan:
-        """Put another scene in force, and return its plan, reused if its elements are the same."""
+        """Put a scene in force and return its plan: the present one, updated in place, if its elements are the same."""
         before, self._scene = self._scene, scene
         if not same_elements(before, scene):
             candidate, self._candidate = self._candidate, None

@@ -397,7 +397,7 @@ class ContactParameters:
 
 @attrs.frozen(kw_only=True)
 class ObstacleParameters:
-    """Parameters of one obstacle, a group under its own name, e.g. `table.size`.
+    """Parameters of one obstacle, named behind its own name, e.g. `table.size`; it is present if `obstacles` lists it.
 
     Some may change only while `obstacles` does not name it; their description says so.
     """
@@ -507,7 +507,7 @@ class PointsParameters:
 
     @property
     def fields(self) -> dict[str, bool]:
-        """Fields after x, y, z, and the precision, as arguments of an encoder of clouds."""
+        """Keyword arguments of an encoder of clouds: flags of velocity, normals, ids, and double precision."""
         return {"velocity": self.velocity, "normal": self.normal, "ids": self.id, "double": self.double}
 
 

@@ -50,7 +50,7 @@ def is_oblique(scene: MaterialScene) -> bool:
 
 
 def along_grid(scene: MaterialScene, warp_and_weft: tuple[float, float], names: str) -> tuple[float, float]:
-    """Convert a quantity along warp and weft to one along rows and columns of a grid.
+    """Convert (warp, weft) of a quantity to (along rows, along columns) of a grid; raise ParameterError if oblique.
 
     Args:
         scene: gives the direction of the warp.

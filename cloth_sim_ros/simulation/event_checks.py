@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.gripper_pads import pads_of
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies.bodies import change_obstacles
+from cloth_sim_ros.simulation.bodies.bodies import adapt_states
 from cloth_sim_ros.simulation.events import (
     Event,
     Grasp,
@@ -54,7 +54,7 @@ def check_all(events: Sequence[Event], scene: Scene, state: State, initial: Stat
         after = check(event, scene, state, initial)
         if after.obstacles != scene.obstacles:
             state, initial = state.shallow_copy(), initial.shallow_copy()
-            change_obstacles(scene, after, (state, initial))
+            adapt_states(scene, after, (state, initial))
         scene = after
     return in_order
 

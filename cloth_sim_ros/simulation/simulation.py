@@ -347,7 +347,7 @@ class Simulation(ExclusiveAccess):
         # A motion that was already beyond the fixed step is not caused by the parameters.
         is_step_stable = affects_no_motion or self._is_step_stable()
         self._initial = self._initial.shallow_copy()  # snapshots share the old one
-        bodies.change_obstacles(before, scene, (self.state, self._initial))
+        bodies.adapt_states(before, scene, (self.state, self._initial))
         self.obstacles = bodies.build_obstacles(scene, self.state)
         self._apply_scene(scene)
         if affects_no_motion:

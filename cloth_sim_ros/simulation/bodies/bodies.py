@@ -270,7 +270,7 @@ def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | N
     return solids, poses
 
 
-def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> None:
+def adapt_states(before: Scene, scene: Scene, states: Iterable[State]) -> None:
     """Adapt the obstacles, friction anchors and contact thickness of states to another scene.
 
     A scene without friction of bending has no plastic lengths.
