@@ -30,7 +30,7 @@ _MAX_SPECIMENS = 1000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_drape`: parse the options, drape the specimens, and return the exit status."""
+    """Run `cloth_drape`: parse the options, drape the specimens, print and write results; return the exit status."""
     escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)

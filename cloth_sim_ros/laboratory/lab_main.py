@@ -28,7 +28,7 @@ _TESTS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_lab`: parse the options, run a textile test, and return the exit status."""
+    """Run `cloth_lab`: parse the options, run textile tests, print and write results; return the exit status."""
     escape_unencodable()
     options = _parser().parse_args(arguments)
     return run_test("cloth_lab", options, lambda: _run(options))

@@ -58,7 +58,7 @@ class Frame:
     obstacle_wrenches: Array
 
     def extras(self) -> dict[str, Any]:
-        """Return additional entries of the frame's record, plain JSON values; none in a frame that went as commanded.
+        """Return additional entries of the frame's record, plain JSON values; empty if it went as commanded.
 
         Returns:
             `poses`: `lagging` as lists by name; `halted`: names of stopped bodies. Either is absent if empty.

@@ -60,7 +60,7 @@ class Snapshot:
         return self.state.positions
 
     def check_fits(self, scene: Scene) -> None:
-        """Refuse a restore if the scene in force differs in a parameter that is not live.
+        """Raise ValueError if a scene differs from the snapshot's in a parameter that is not live, or a file.
 
         Raises:
             ValueError: naming a parameter that differs.

@@ -27,7 +27,7 @@ EndPose = Callable[[int, Sequence[float], Sequence[float]], Sequence[float]]
 
 
 def writable_copy(state: State, name: str) -> NDArray:
-    """Replace an array of the state's memory by a copy, and return the copy for writing.
+    """Replace an array of the state's memory by a copy, and return the copy for writing; the old one may be shared.
 
     The old array stays unchanged, because earlier states share it.
     """
@@ -89,11 +89,11 @@ class KinematicBodies:
             state.memory.setdefault(name, array)
 
     def array(self, quantity: str) -> NDArray:
-        """Return one of the arrays `pose`, `twist`, `turn` and `target`, for reading."""
+        """Return the state's array `pose`, `twist`, `turn` or `target` of all bodies, for reading only."""
         return self._state.memory[f"{self._kind}.{quantity}"]
 
     def writable_copy(self, quantity: str) -> NDArray:
-        """Return a copy of one of the arrays, which replaces it, for writing."""
+        """Replace the state's array `pose`, `twist`, `turn` or `target` by a copy; return it for writing."""
         return writable_copy(self._state, f"{self._kind}.{quantity}")
 
     @property
@@ -103,7 +103,7 @@ class KinematicBodies:
         return is_still and np.array_equal(self.array("pose"), self.array("target"))
 
     def set_target(self, index: int, position: Vector, orientation: Vector | None) -> Array:
-        """Store a target position [m] and orientation, by default the present target's; return its pose, shape (7,)."""
+        """Store a target position [m] and orientation (None: the present target's); return the target's pose, (7,)."""
         target = writable_copy(self._state, self._names[3])
         if orientation is None:
             # Element by element, because building an array of three numbers takes longer.
