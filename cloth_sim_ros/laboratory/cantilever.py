@@ -50,7 +50,7 @@ class Cantilever:
 
 
 def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Cantilever:
-    """Find by simulation the overhang of a strip whose tip hangs 41.5 degrees below the level; raise LaboratoryError.
+    """Simulate a strip at several overhangs; return that whose tip hangs 41.5 degrees below the level, or raise.
 
     Args:
         sample: the fabric.
@@ -94,7 +94,7 @@ def _tip_angle(sample: FabricSample, angle: float, overhang: float, n_cells: int
 
 
 def measure_cantilever(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Simulate cantilever tests along warp and weft; return bending length and flexural rigidity of each."""
+    """Simulate cantilever tests along warp and weft; return measurements of bending length and flexural rigidity."""
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.warp_and_weft("material.bending_modulus"), strict=True

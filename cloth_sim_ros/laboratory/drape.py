@@ -134,7 +134,7 @@ class Drape:
 
 
 def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape | None = None) -> Drape:
-    """Simulate a specimen of fabric that hangs over the plate until it is at rest, 30 s at most; return its drape.
+    """Simulate a specimen that hangs over the plate until it is at rest, 30 s at most; return its drape, or raise.
 
     Args:
         sample: the fabric.

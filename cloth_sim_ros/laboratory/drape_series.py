@@ -19,7 +19,7 @@ from cloth_sim_ros.laboratory.samples import FabricSample
 
 @attrs.frozen(eq=False, kw_only=True)
 class DrapeSeries:
-    """Drapes of several specimens of one fabric."""
+    """Drapes of several specimens of one fabric, with those of coarser meshes if requested."""
 
     sample: FabricSample
     test: DrapeTest

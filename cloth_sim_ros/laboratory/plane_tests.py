@@ -63,7 +63,7 @@ def _clamp_force(
 
 
 def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Simulate strips stretched along warp and weft; return for each the tensile modulus and loads by extension."""
+    """Simulate strips stretched along warp and weft; return measurements: tensile modulus, load at each extension."""
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.warp_and_weft("material.stretch_modulus"), strict=True
@@ -86,7 +86,7 @@ def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
 
 
 def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Simulate a specimen sheared between parallel clamps; return its shear modulus and the load at each angle.
+    """Simulate a specimen sheared between parallel clamps; return measurements: shear modulus, and load at each angle.
 
     The modulus is the slope of the force between the first two angles. The specimen's free sides bear no shear, which
     makes it smaller than the fabric's.
@@ -105,7 +105,7 @@ def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measureme
 
 
 def measure_bias_extension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Simulate a strip stretched at 45 degrees to its threads; return two moduli and the load at each extension."""
+    """Simulate a strip stretched at 45 degrees to its threads; return measurements: two moduli, then loads."""
     length, width = BIAS_SIZE
     loads = [
         float(_clamp_force(sample, BIAS_SIZE, 0.25 * math.pi, cells, (0.0, extension * length))[1])

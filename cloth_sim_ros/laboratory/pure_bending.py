@@ -31,7 +31,7 @@ _MAX_RESIDUAL = 0.02
 
 
 def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Simulate bent strips along warp and weft; return bending modulus, moments and the hysteresis by friction."""
+    """Simulate bent strips along warp and weft; return measurements: bending modulus, moments, hysteresis."""
     friction_moment = float(sample.parameters["bending.friction_moment"])
     measurements = []
     for direction, angle, stated in zip(

@@ -31,7 +31,7 @@ class Silhouette:
 
 
 def silhouette(positions: Array, triangles: NDArray[np.int64], plate_radius: float) -> Silhouette:
-    """Measure the shadow of a specimen, its projection along z, that lies on a plate about the origin.
+    """Measure the shadow (projection along z) of a specimen on a plate about the origin; return it.
 
     Args:
         positions: particles [m], shape (n, 3).

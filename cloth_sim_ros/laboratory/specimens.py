@@ -36,7 +36,7 @@ class DiscMesh:
     triangles: NDArray[np.int64]
 
     def obj(self) -> bytes:
-        """Return the mesh as the bytes of an OBJ file."""
+        """Return the mesh as the bytes of an OBJ file, with every bit of its points, z = 0."""
         lines = [f"v {x!r} {y!r} 0" for x, y in self.points.tolist()]
         lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in self.triangles.tolist()]
         return "\n".join([*lines, ""]).encode()

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def bending_forces(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
-    """Build the bending forces of a scene's sheet for `bending.model`, any but `none` and `axial`; raise ValueError.
+    """Build the bending forces, as a list, for a `bending.model` except `none` and `axial`; raise ValueError if unfit.
 
     Hinges have S7 (opposite), S7 and S8 (crossed), S7 and S9 (altitude), or are quadratic. Triangles have a shape
     operator.
@@ -161,7 +161,7 @@ def _parsed_rest_angles(data: bytes) -> RestAngles:
 
 
 def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array | None:
-    """Return the rest angles that parameters set for hinges (h, 4) [rad]: one for all, (h,), or None if unset.
+    """Return the rest angles that parameters set for hinges (h, 4) [rad]: a number, an array (h,), or None if unset.
 
     NaN stands for the angle of the rest shape, None for the angles of all.
     """

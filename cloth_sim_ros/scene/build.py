@@ -293,7 +293,7 @@ def attachment_points(joints: list[tuple[str, int]], names: list[str], poses: Ar
 def joint_grasps(
     scene: PhysicsScene, joints: list[tuple[str, int]], masses: Array, offsets: Array
 ) -> tuple[NDArray[np.int64], Grasps]:
-    """Return indices of the obstacles with joints, ascending, and the springs of these joints, grouped by obstacle.
+    """Return indices of obstacles with joints, ascending, and the springs of these joints as `Grasps` in this order.
 
     Args:
         scene: gives obstacles, stiffness and damping.
@@ -339,7 +339,7 @@ def _starting_paths(scene: PhysicsScene) -> Array:
 
 
 def uniform_forces(scene: PhysicsScene) -> list[Force]:
-    """Build the forces that act on all particles alike: gravity, drag, and the wind's part of drag, if not 0."""
+    """Build a list of the forces that act on all particles alike: gravity, drag, the wind's part of drag, if not 0."""
     forces = list[Force]()
     if any(scene.gravity):
         forces.append(Gravity(scene.gravity))
@@ -396,7 +396,7 @@ def _grid_families(scene: PhysicsScene, sheet: GridSheet, threads: ThreadStiffne
 
 
 def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[Force]:
-    """Build the triangle membrane, followed by a grid's axial bending springs, whose stiffness it lacks."""
+    """Return a list: the triangle membrane, then a grid's axial bending springs, whose stiffness the membrane lacks."""
     from cloth_sim_ros.physics.model.sheets.membrane import membrane
 
     springs: list[GridSprings] = []

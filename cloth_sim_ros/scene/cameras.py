@@ -117,7 +117,7 @@ def _faults(name: str, camera: CameraParameters) -> Iterator[str]:
 
 
 def check_change(name: str, before: CameraParameters, now: CameraParameters) -> None:
-    """Raise ParameterError if a parameter of a camera that can be set at start only differs between `before` and `now`.
+    """Raise ParameterError if a camera's parameters `before` and `now` differ in one that can be set at start only.
 
     Raises:
         ParameterError: naming the parameter.

@@ -53,9 +53,10 @@ class Distribution:
 
     @classmethod
     def from_file(cls, path: str | Path) -> Distribution:
-        """Read a distribution from a file, JSON of `cloth_fit` or YAML; raise DistributionError if it holds none.
+        """Read a distribution from a file, JSON of `cloth_fit` or YAML; raise DistributionError if that fails.
 
-        Parameters that the fit left open are left out. Deviations of entries replace those of the covariance, which
+        YAML has `parameters` and, unless they are independent, `covariance`. Parameters that the fit left open are left
+        out. Deviations of entries replace those of the covariance, which
         then gives the correlations.
 
         Raises:

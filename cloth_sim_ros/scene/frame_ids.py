@@ -29,7 +29,7 @@ def fault(frame_id: str) -> str:
 
 
 def faults(values: Mapping[str, Any]) -> Iterable[str]:
-    """Yield a sentence for each parameter that names an invalid frame.
+    """Yield a sentence for each parameter by full name whose value is an invalid name of a frame.
 
     Args:
         values: parameters by full name; parameters without a frame's name are ignored.

@@ -24,7 +24,7 @@ class PinchScene(Protocol):
 
 
 def pads_of(scene: PinchScene, mass: float) -> list[ParallelJaw]:
-    """Build each pinching gripper's parallel jaw, in their order; the cloth's mass [kg] sets the inertia of the drive.
+    """Build each pinching gripper's `ParallelJaw`, or raise; the cloth's mass [kg] sets the inertia of the drive.
 
     Raises:
         ParameterError: for invalid values.

@@ -19,7 +19,7 @@ MEMORY_KEY = "relaxed"
 
 
 def factor_of(state: State) -> float:
-    """Return the factor by which a state's memory relaxes the scene's tolerance; 1 if it does not."""
+    """Return the factor by which the tolerance is relaxed, from a state's memory; 1 if it is not."""
     stored = state.memory.get(MEMORY_KEY)
     return 1.0 if stored is None else float(stored[0])
 

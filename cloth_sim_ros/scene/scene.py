@@ -258,7 +258,7 @@ class Scene:
     def from_parameters(
         cls, values: dict[str, Any], *, files: Mapping[str, bytes] | None = None, folder: str | Path = "."
     ) -> Scene:
-        """Build a scene from values by full name, e.g. ``{"cloth.size": [1.0, 1.0]}``; read the files that they name.
+        """Build a scene from values by full name (``{"cloth.size": [1.0, 1.0]}``) and files that they name, or raise.
 
         Args:
             values: parameters; missing ones take their default.

@@ -59,7 +59,7 @@ def reduce_contacts(
     rows: NDArray[np.bool_] | None = None,
     relieved: NDArray[np.int64] | None = None,
 ) -> None:
-    """Store reduced thicknesses of contacts that an event compresses or relieves in the state; raise EventError.
+    """Store in the state a reduced thickness of contacts that an event changes; raise EventError if one is too narrow.
 
     The reduced thickness is the one at which a contact stores the energy of the rest gap.
 

@@ -74,31 +74,31 @@ class Grasp:
 
 @attrs.frozen
 class SetParameters:
-    """Change of scene parameters, values by full name such as `air.drag`."""
+    """Command to change live scene parameters, values by full name such as `air.drag`."""
 
     values: dict[str, Any]
 
 
 @attrs.frozen
 class Pause:
-    """Stop of simulated time (True), or its resumption (False)."""
+    """Command to stop simulated time (True), or to resume it (False)."""
 
     paused: bool
 
 
 @attrs.frozen
 class Step:
-    """Advance by one frame although the simulation is paused; without a pause it has no effect."""
+    """Command to advance by one frame although the simulation is paused; without a pause it has no effect."""
 
 
 @attrs.frozen
 class Reset:
-    """Return of cloth, grippers and obstacles to the initial state; the frame index continues."""
+    """Command to return cloth, grippers and obstacles to the initial state; the frame index continues."""
 
 
 @attrs.frozen
 class Relax:
-    """Factor on the scene's tolerance until the next such event; 1 restores the scene's own."""
+    """Command to multiply the scene's tolerance by a factor until the next such event; 1 restores the scene's own."""
 
     #: From 1 to `relaxation.MAX_FACTOR`.
     factor: float = attrs.field(converter=float)

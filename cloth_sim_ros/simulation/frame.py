@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @with_old_names(halted="stopped", loads="obstacle_wrenches", again="repeated")
 @attrs.frozen(kw_only=True, slots=False)
 class Frame:
-    """Result of one call of `Simulation.advance`."""
+    """Result of one call of `Simulation.advance`: time, events, grasps, wrenches, and the report of the steps."""
 
     #: Index of the frame that the state has reached.
     index: int

@@ -154,7 +154,7 @@ class GripperScript:
         closed: ArrayLike | None = None,
         frame_id: str = "",
     ) -> GripperScript:
-        """Build a script from poses over time, such as those of a recorded robot; straight between two poses.
+        """Build a script from poses over time, straight between two, such as a recorded robot's; raise ScriptError.
 
         Args:
             times: increasing times [s], shape (count,); the first one is the script's start.
@@ -203,7 +203,7 @@ class GripperScript:
         return max([self.waypoints[-1].time, *(grasp.time for grasp in self.grasps)])
 
     def rest_end(self, time: float) -> float:
-        """Return the time [s] until which the gripper keeps its pose of `time` [s]; `time` itself while it moves."""
+        """Return the time [s] until which the pose of `time` [s] stays, inf at the end; `time` itself in a motion."""
         waypoints, k = self.waypoints, self._waypoint_index(time)
         if k < 0:
             return time

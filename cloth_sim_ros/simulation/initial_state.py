@@ -42,7 +42,7 @@ def stop_anchored(scene: Scene, state: State) -> None:
 
 
 def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
-    """Return the state that a reset restores, and the one to start from, a copy of `state` or of the first.
+    """Return the state that a reset restores, and a copy of it or of `state` to start from; raise ValueError if unfit.
 
     Raises:
         ValueError: for a state of another cloth.
@@ -66,7 +66,7 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
 def apply_grasp(
     event: Grasp, state: State, scene: Scene, model: Model, grippers: Grippers, pinching: ParallelGrippers | None
 ) -> GraspResult:
-    """Close or open a gripper by an event, wake the cloth if its grip changes, and return the result."""
+    """Close or open a gripper by an event, wake the cloth in the state if its grip changes; return the result."""
     index = grippers.names.index(event.gripper)
     grasped_before = grippers.grasped_particles(index).size
     is_pinching = pinching is not None and event.gripper in pinching.names

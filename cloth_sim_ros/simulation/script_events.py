@@ -32,7 +32,7 @@ class ScriptEvents:
         self._last_targets: list[Event | None] = [None] * len(scripts)
 
     def at(self, frame: int) -> list[Event]:
-        """Return, and remember as sent, the events of the frame from index `frame` to the next; call it in order.
+        """Return the events of the frame that starts at index `frame`, each once; call it for the frames in order.
 
         A target equal to the last one is left out, so that a cloth can fall asleep.
         """
@@ -76,7 +76,7 @@ def pose_scripts(
 
 
 def frame_events(scripts: Sequence[GripperScript], period: float) -> Iterator[list[Event]]:
-    """Yield the events of each frame in which scripts move their grippers.
+    """Yield the events of each frame in which scripts move their grippers, from their first to their last poses.
 
     The first frame moves the grippers to their first poses. The scripts begin at its end.
     """

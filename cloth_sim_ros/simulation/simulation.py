@@ -167,7 +167,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def spectral_bounds(self, scene: Scene) -> tuple[float, float]:
-        """Return upper bounds of squared angular frequency [1/s^2] and damping rate [1/s] for another scene."""
+        """Return upper bounds of squared angular frequency [1/s^2] and damping rate [1/s] with another scene."""
         return self._plan_cache.spectral_bounds(scene, self.state.x)
 
     @between_frames
@@ -191,8 +191,6 @@ class Simulation(ExclusiveAccess):
     @exclusive
     def advance(self, events: Sequence[Event] = ()) -> Frame:
         """Apply events at the frame's boundary, then advance by one frame unless paused; on an error nothing changes.
-
-        If the frame fails, the state stays as it was.
 
         Raises:
             EventError: for an event that can't take effect.

@@ -173,7 +173,7 @@ class SleepRule:
 
 
 def is_asleep(state: State) -> bool:
-    """Return True if the sheet of a state sleeps."""
+    """Return True if the sheet of a state sleeps: its frames are not computed."""
     return VELOCITY in state.memory
 
 
@@ -198,7 +198,7 @@ def _end_watch(state: State) -> None:
 
 
 def _resume_motion(state: State) -> None:
-    """Restore the velocities that a sleeping sheet had, plus the impulse since."""
+    """End sleep in a state: restore the velocities that the sheet had, plus the impulse since."""
     velocities, impulse = state.memory.pop(VELOCITY), state.memory.pop(IMPULSE, None)
     remaining_frames = max(0.0, Memory.load(state).wake_frame - state.frame)
     state.v = velocities.copy() if impulse is None else velocities - remaining_frames * impulse

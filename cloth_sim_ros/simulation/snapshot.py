@@ -51,7 +51,7 @@ class Snapshot:
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time that the state has reached [s]."""
         return self.state.frame * self.scene.period
 
     @property

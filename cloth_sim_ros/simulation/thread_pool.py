@@ -34,7 +34,7 @@ def resolve_worker_count(count: int | None, name: str = "threads") -> int:
 
 
 class ThreadPool:
-    """Thread pool in which the calling thread is worker 0.
+    """Pool of threads for `run`, in which the calling thread is worker 0; `close` ends it.
 
     Args:
         threads: number of threads; None takes one per core that this process may use.

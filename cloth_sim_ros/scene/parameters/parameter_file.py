@@ -106,7 +106,7 @@ def _refuse_other_namespaces(sections: list[str], node: str, source: str) -> Non
 
 
 def dump(values: dict[str, Any], *, node: str = "/**") -> str:
-    """Return the text of a parameter file that sets the given parameters; floats keep every bit."""
+    """Return the text of a ROS parameter file that sets the given parameters for a node; floats keep every bit."""
     tree: dict[str, Any] = {}
     for name, value in values.items():
         branch = tree

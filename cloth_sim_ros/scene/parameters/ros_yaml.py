@@ -41,7 +41,7 @@ _RESOLVED = {
 
 
 def load(text: str) -> Any:
-    """Parse a YAML text to plain Python values, with scalars as ROS reads them; raise YAMLError.
+    """Parse a YAML text to plain Python values, with scalars as ROS reads them, or raise YAMLError.
 
     Raises:
         yaml.YAMLError: if it is no YAML, repeats a key, has too many values, or is nested too deeply.

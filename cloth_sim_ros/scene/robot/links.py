@@ -115,7 +115,7 @@ class RobotLinks:
 def add_links(
     scene: Scene, values: Mapping[str, Any], description: str | bytes, *, folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes], RobotLinks]:
-    """Return a scene's parameters with a robot's links added as obstacles, contents of files, and the links.
+    """Return parameters with a robot's links as obstacles, contents of files, and `RobotLinks`; read meshes, or raise.
 
     The obstacles are at the poses of joints at 0; `RobotLinks.poses` and `with_poses` place them elsewhere.
 

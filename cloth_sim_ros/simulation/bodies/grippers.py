@@ -35,7 +35,7 @@ _ROUNDING_MARGIN = 1.0 + 1e-9
 
 @attrs.frozen
 class GraspResult:
-    """Result of closing or opening a gripper: number of grasped particles, or the reason for none."""
+    """Result of a command to close or open a gripper: number of grasped particles, or the reason for none."""
 
     gripper: str
     closed: bool
@@ -152,7 +152,7 @@ class Grippers:
         return indices
 
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
-        """Close a gripper and attach the free particles within the radius [m]; give a reason if there are none."""
+        """Close a gripper, and attach the free particles within the radius [m] of its pose; return their number."""
         memory = self._state.memory
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
@@ -202,14 +202,14 @@ class Grippers:
         return particles
 
     def attach(self, name: str, particles: NDArray[np.int64]) -> None:
-        """Close a gripper that has a pose, and attach particles at their present positions, in place of former ones."""
+        """Close a gripper that has a pose, and attach particles at their present positions, instead of former ones."""
         g = self.names.index(name)
         writable_copy(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
         self._replace(g, particles, to_body_frame(pose, self._state.x[:, particles]))
 
     def pinch(self, name: str, *, again: bool = False) -> GraspResult:
-        """Start to close a gripper's pads. With `again`, closed pads start again, towards another opening."""
+        """Start to close a gripper's pads, or with `again` closed ones to another opening; return a pending result."""
         memory, g = self._state.memory, self.names.index(name)
         if memory["gripper.closed"][g] and not again:
             return GraspResult(name, True, 0, "it is closed already: open it first")
@@ -219,7 +219,7 @@ class Grippers:
         return GraspResult(name, True, 0, pending=True)
 
     def open(self, name: str) -> GraspResult:
-        """Open a gripper: release its particles at once, and let its pads, if any, move apart in the next frames."""
+        """Open a gripper: release its particles, let its pads, if any, open in the next frames; return the result."""
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"

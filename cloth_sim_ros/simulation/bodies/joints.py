@@ -44,7 +44,7 @@ class ObstacleJoints:
         self._grasps: Grasps | None = None
 
     def gripper_grasps(self, present: Grasps) -> Grasps:
-        """Return the part of the present grasps that belongs to grippers."""
+        """Return the part of the plan's present grasps that belongs to grippers, without the joints."""
         return present.source[0] if present is self._grasps else present
 
     def extend(self, grips: GripControls, obstacle_paths: Array) -> GripControls:

@@ -36,7 +36,7 @@ def writable_copy(state: State, name: str) -> NDArray:
 
 
 def constant_paths(t: float, poses: Array) -> Array:
-    """Return the paths of bodies at rest at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
+    """Return paths of bodies at rest at poses (count, 7) from time t [s] on, engine rows (count, PATH_NUMBERS)."""
     rows = np.zeros((len(poses), PATH_NUMBERS))
     rows[:, 0], rows[:, 1:4], rows[:, 13:17] = t, poses[:, :3], poses[:, 3:]
     return rows
@@ -58,7 +58,7 @@ def clamp_motion(pose: Sequence[float], target: Sequence[float], reach: float, m
 
 
 def travel(pose: Sequence[float], target: Sequence[float], reach: float) -> float:
-    """Return an upper bound [m] of the path of points within `reach` [m] of the origin from a pose to a target."""
+    """Return an upper bound [m] of the path from pose to target of points within `reach` [m] of the body's origin."""
     displacement = [target[i] - pose[i] for i in range(3)]
     # The rotation costs a call of the engine; a body without extent needs none.
     return _length(displacement) + (reach * _length(rotation_vector(pose[3:], target[3:])) if reach else 0.0)
