@@ -56,8 +56,7 @@ class Distribution:
         """Read a distribution from a file, JSON of `cloth_fit` or YAML; raise DistributionError if that fails.
 
         YAML has `parameters` and, unless they are independent, `covariance`. Parameters that the fit left open are left
-        out. Deviations of entries replace those of the covariance, which
-        then gives the correlations.
+        out. Deviations of entries replace those of the covariance, which then gives the correlations.
 
         Raises:
             DistributionError: if the file cannot be read or describes no distribution.
