@@ -31,7 +31,7 @@ def add_sample_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
 
 
-def sample_of(options: argparse.Namespace) -> FabricSample:
+def sample_from_options(options: argparse.Namespace) -> FabricSample:
     """Read the fabric that a command's options name, with the parameters that they replace; raise if it is invalid.
 
     Raises:

@@ -84,7 +84,7 @@ def _fabric(source: str) -> Fabric:
         return fabrics()[source]
     if not is_fabric_file(source) and not Path(source).exists():
         raise ParameterError(f"'{source}' is neither a file nor a fabric; the fabrics are {', '.join(fabrics())}")
-    text = parameter_file.text_of(source)
+    text = parameter_file.read_text(source)
     try:
         content = ros_yaml.load(text)
     except yaml.YAMLError as error:

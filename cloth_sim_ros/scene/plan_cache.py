@@ -80,7 +80,7 @@ class PlanCache:
 
 
 def same_elements(before: Scene, scene: Scene) -> bool:
-    """Return True if two scenes have the same springs, hinges, panels, masses, anchors, grippers and obstacles."""
+    """Return True if scenes have the same springs, hinges, panels, masses, anchors, grippers, obstacles and contact."""
     return _elements(before) == _elements(scene)
 
 

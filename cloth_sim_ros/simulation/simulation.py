@@ -313,7 +313,7 @@ class Simulation(ExclusiveAccess):
             grasps=tuple(grasps),
             pinches=tuple(pinches),
             stopped=stopped,
-            lagging=self.grippers.lagging(stopped) if is_lagging else (),
+            lagging=self.grippers.lagging_poses(stopped) if is_lagging else (),
             recovery=recovery,
             moved=is_moved,
             integrator=done.integrator if done else self._integrator.name,

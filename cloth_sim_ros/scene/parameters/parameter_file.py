@@ -30,10 +30,10 @@ def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> 
         ParameterError: for a file that can't be read, is no YAML or no parameter file, or sets parameters only for
         nodes of this name in other namespaces.
     """
-    return parse(text_of(path), node=node, source=str(path), strict=strict)
+    return parse(read_text(path), node=node, source=str(path), strict=strict)
 
 
-def text_of(path: str | Path) -> str:
+def read_text(path: str | Path) -> str:
     """Read the text of a parameter file, for `parse`; raise ParameterError if it can't be read or is too large.
 
     Raises:

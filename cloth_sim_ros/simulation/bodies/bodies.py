@@ -297,7 +297,7 @@ def adapt_states(before: Scene, scene: Scene, states: Iterable[State]) -> None:
 
 
 def carry_over_thickness(thickness: Array, before: Scene, scene: Scene) -> Array | None:
-    """Return the contact thickness [m] by contact after a change of scene; None if every contact has the full one.
+    """Return the contact thickness [m] after a change of scene, a row per body; None if all contacts have the full one.
 
     New obstacles have the full thickness.
     """
@@ -312,7 +312,7 @@ def carry_over_thickness(thickness: Array, before: Scene, scene: Scene) -> Array
 
 
 def carry_over_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
-    """Return the friction anchors after a change of scene, or None if no contact has friction.
+    """Return the friction anchors after a change of scene, rows by body; None if no contact has friction.
 
     Remaining obstacles keep their anchors, and new ones have none. If friction returns later, anchors start empty.
     """

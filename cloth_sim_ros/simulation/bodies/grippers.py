@@ -83,8 +83,8 @@ class Grippers:
         """Return a copy of present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
         return self._state.memory["gripper.pose"].copy()
 
-    def lagging(self, stopped: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
-        """Return name and pose, 7 numbers, of each gripper that the newest frame left short of its commanded target.
+    def lagging_poses(self, stopped: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
+        """Return (name, pose of 7 numbers) of each gripper that the newest frame left short of its commanded target.
 
         Args:
             stopped: names of the bodies that stopped in the newest frame; a stopped gripper's target became its pose.
