@@ -114,7 +114,7 @@ def anchored_particles(scene: PhysicsScene, sheet: Sheet) -> list[int]:
 
 
 def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
-    """Return the pairs of particles that `cloth.joints` joins, (m, 2), obstacles left out. Raise if one is invalid.
+    """Return the pairs of particles that `cloth.joints` joins, (m, 2), without joints to obstacles; raise if invalid.
 
     Raises:
         ParameterError: for a joint that does not name two different particles, or two edges of equal length; for two

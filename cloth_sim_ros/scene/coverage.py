@@ -36,7 +36,7 @@ class CoverageScene(Protocol):
 
 
 def check_coverage(scene: CoverageScene) -> None:
-    """Raise ParameterError unless `coverage.obstacle` is empty, or gives an area on a plane or box to a triangle mesh.
+    """Raise ParameterError if a set `coverage.obstacle` is no plane or box, or if rectangle or cloth has no area.
 
     Raises:
         ParameterError: naming the parameter.

@@ -65,7 +65,7 @@ def find_file(uri: str, folder: Path) -> Path:
 
 
 def load(uri: str, scale: tuple[float, ...], folder: Path) -> ClosedMeshes:
-    """Read a robot's mesh file [m] as itself if it is closed and coarse, else as convex hulls; raise ParameterError.
+    """Read a robot's mesh file as closed meshes [m]: itself if closed and coarse, else convex hulls; or raise.
 
     Args:
         uri: see `find_file`.
