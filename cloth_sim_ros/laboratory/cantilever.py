@@ -50,7 +50,7 @@ class Cantilever:
 
 
 def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Cantilever:
-    """Find the overhang of a strip whose tip hangs 41.5 degrees below the level; return it as a `Cantilever`.
+    """Simulate a strip at several overhangs; return that whose tip hangs 41.5 degrees below the level, or raise.
 
     Args:
         sample: the fabric.
@@ -83,7 +83,7 @@ def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Can
 
 
 def _tip_angle(sample: FabricSample, angle: float, overhang: float, n_cells: int) -> float:
-    """Return the angle below the level at which the tip of an overhanging strip is seen from the edge [rad]."""
+    """Return the angle below the level [rad] at which the edge sees the tip of an overhanging strip at rest."""
     cell = overhang / (n_cells + 0.5)
     # The grid has no Poisson's ratio in bending, therefore the width has no effect.
     width = min(WIDTH, 4.0 * cell)
@@ -94,7 +94,7 @@ def _tip_angle(sample: FabricSample, angle: float, overhang: float, n_cells: int
 
 
 def measure_cantilever(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure bending length and flexural rigidity of strips along warp and weft by the cantilever test."""
+    """Simulate cantilever tests along warp and weft; return measurements of bending length and flexural rigidity."""
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.warp_and_weft("material.bending_modulus"), strict=True

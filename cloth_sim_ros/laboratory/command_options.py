@@ -23,7 +23,7 @@ REFUSED = 2
 
 
 def add_sample_options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments for the fabric, replaced parameters of it, and the JSON file to a parser."""
+    """Add the arguments `fabric`, `--set` (replaced parameters) and `--json` (output file) to a parser."""
     fabric = "name of a fabric, fabric file, or scene file (ROS parameters) whose fabric is tested"
     parser.add_argument("fabric", help=fabric)
     override = "parameter of the fabric that replaces its own, e.g. material.bending_modulus=2e-6"
@@ -31,8 +31,8 @@ def add_sample_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
 
 
-def sample_of(options: argparse.Namespace) -> FabricSample:
-    """Return the fabric that the options of a command name, with the parameters that they replace.
+def sample_from_options(options: argparse.Namespace) -> FabricSample:
+    """Read the fabric that a command's options name, with the parameters that they replace; raise if it is invalid.
 
     Raises:
         LaboratoryError: for an override that is no NAME=VALUE.
@@ -59,7 +59,7 @@ def sample_of(options: argparse.Namespace) -> FabricSample:
 
 
 def run_test(name: str, options: argparse.Namespace, test: Callable[[], int], **outputs: Path | None) -> int:
-    """Check the output files, run a test, and return the exit status.
+    """Check the output files, run a test, and return the exit status; errors of the user go to stderr as a sentence.
 
     Args:
         name: name of the command.
@@ -91,7 +91,7 @@ def run_test(name: str, options: argparse.Namespace, test: Callable[[], int], **
 
 
 def write_json(content: Mapping[str, Any], path: Path) -> None:
-    """Write the numbers of a test as JSON."""
+    """Write the numbers of a test to a file as JSON, complete or not at all."""
     from cloth_sim_ros.session.output_files import atomic_write
 
     with atomic_write(path) as output:

@@ -49,7 +49,7 @@ _EDGE_DISTANCE, _FACE_DISTANCE = 0.5, 0.98
 
 @attrs.frozen(kw_only=True)
 class DrapeTest:
-    """Conditions of a Cusick drape test: specimen, plate, mesh and support.
+    """Conditions of a Cusick drape test: specimen, plate, mesh and support; LaboratoryError if they do not fit.
 
     Raises:
         LaboratoryError: for a plate that is not smaller than the specimen.
@@ -95,12 +95,12 @@ class DrapeTest:
 
     @property
     def max_edge_length(self) -> float:
-        """Largest edge length that the test permits [m]: two edges fit on the plate's radius and the overhang."""
+        """Largest permitted edge length of the mesh [m]: two edges fit on the plate's radius and the overhang."""
         return min(self.plate_radius / 2.0, (self.radius - self.plate_radius) / (2.0 + 0.5 * ROW))
 
     @property
     def permits_coarser_mesh(self) -> bool:
-        """True if the mesh of an estimate of the mesh error fits the test too."""
+        """True if a mesh with edges `COARSENING` times as long, for the mesh error, fits the test too."""
         return COARSENING * self.edge_length <= self.max_edge_length
 
     @property
@@ -111,7 +111,7 @@ class DrapeTest:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Drape:
-    """Shape and shadow of one draped specimen."""
+    """Shape and shadow of one draped specimen, and whether it came to rest."""
 
     test: DrapeTest
     seed: int
@@ -134,7 +134,7 @@ class Drape:
 
 
 def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape | None = None) -> Drape:
-    """Let a specimen of fabric hang over the plate until it is at rest; return its drape.
+    """Simulate a specimen that hangs over the plate until it is at rest, 30 s at most; return its drape, or raise.
 
     Args:
         sample: the fabric.
@@ -177,13 +177,13 @@ def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape 
 
 
 def coarser_drape(sample: FabricSample, fine: Drape) -> Drape:
-    """Drape a specimen of a coarser mesh, from the shape of a finer drape, so that both have the same folds."""
+    """Simulate the drape of a coarser mesh, from the shape of a finer drape, so that both have the same folds."""
     test = attrs.evolve(fine.test, edge_length=COARSENING * fine.test.edge_length)
     return drape(sample, test, seed=fine.seed, start=fine)
 
 
 def mesh_error(fine: Drape, coarse: Drape) -> float:
-    """Return the error of the finer of two drape coefficients by its mesh, for an error of order 2 in edge length.
+    """Estimate the error by its mesh of the finer of two drape coefficients, for order 2 in edge length.
 
     It is positive if the coefficient is too large.
     """

@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_drape` and return its exit status."""
+    """Import and run the command `cloth_drape`; return its exit status."""
     return run_command("cloth_drape", "cloth_sim_ros.laboratory.drape_main", arguments)

@@ -15,7 +15,7 @@ from cloth_sim_ros.laboratory.command_options import (
     NOT_AT_REST,
     add_sample_options,
     run_test,
-    sample_of,
+    sample_from_options,
     write_json,
 )
 from cloth_sim_ros.session.console import escape_unencodable
@@ -30,7 +30,7 @@ _MAX_SPECIMENS = 1000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_drape`: parse the options, drape the specimens, and return the exit status."""
+    """Run `cloth_drape`: parse the options, drape the specimens, print and write results; return the exit status."""
     escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)
@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> int:
         pattern=options.pattern,
         contact=options.contact,
     )
-    sample = sample_of(options)
+    sample = sample_from_options(options)
     seeds = range(options.seed, options.seed + options.specimens)
     with tqdm(total=len(seeds), unit=" specimens", desc="drape", delay=1.0, disable=None, leave=False) as bar:
         series = drape_series(

@@ -19,7 +19,7 @@ from cloth_sim_ros.laboratory.samples import FabricSample
 
 @attrs.frozen(eq=False, kw_only=True)
 class DrapeSeries:
-    """Drapes of several specimens of one fabric."""
+    """Drapes of several specimens of one fabric, with those of coarser meshes if requested."""
 
     sample: FabricSample
     test: DrapeTest
@@ -55,11 +55,11 @@ class DrapeSeries:
 
     @property
     def is_converged(self) -> bool:
-        """True if every specimen is at rest."""
+        """True if every specimen, those of coarser meshes included, is at rest."""
         return all(drape.is_converged for drape in (*self.drapes, *self.coarse))
 
     def summary(self) -> dict[str, Any]:
-        """Return all numbers by name, for JSON; lengths in m."""
+        """Return all numbers by name, nested, for JSON; lengths in m."""
         stated = self.sample.fabric.drape_coefficient
         return {
             "fabric": self.sample.fabric.name,
@@ -96,7 +96,7 @@ def drape_series(
     with_mesh_error: bool = True,
     on_progress: Callable[[], Any] = lambda: None,
 ) -> DrapeSeries:
-    """Drape several specimens, each on one thread, as many at once as there are cores.
+    """Simulate the drapes of specimens, each on one thread, as many at once as there are cores; wait for all.
 
     Args:
         sample: the fabric.
@@ -104,7 +104,7 @@ def drape_series(
         seeds: seed of each specimen.
         with_mesh_error: true to drape coarser meshes too, if they fit the test, unless specimens are in contact. The
             plates of a coarser mesh are larger, and the finer one's shape would begin in them.
-        on_progress: called after each drape.
+        on_progress: called by a specimen's thread after its drape, before that of the coarser mesh.
     """
     needs_coarse = with_mesh_error and not test.contact
 
@@ -127,7 +127,7 @@ def drape_series(
 
 
 def describe(series: DrapeSeries) -> str:
-    """Return the text report of a series of drapes."""
+    """Return the report of a series of drapes as text of several lines."""
     fabric, test = series.sample.fabric, series.test
     support = "contact with the plate" if test.contact else "held on the plate"
     size = f"{1e3 * test.diameter:g} mm on {1e3 * test.plate_diameter:g} mm"

@@ -38,7 +38,7 @@ _GRAVITY = 9.81
 
 
 class LaboratoryError(ValueError):
-    """Error: a test can't be done. The message is for the command line."""
+    """Error: a test can't be done; the message, for the command line, gives the reason."""
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -122,7 +122,7 @@ def find_equilibrium(
 
 
 def _check_work(simulation: Simulation) -> None:
-    """Refuse a cloth whose relaxation would not end within hours."""
+    """Raise LaboratoryError for a cloth whose relaxation would not end within hours."""
     step = leapfrog_limit(*simulation.plan.spectral_bounds(simulation.state.x))
     work = simulation.state.x.shape[1] / step if step > 0.0 else math.inf
     if not work <= _MAX_WORK:
@@ -134,7 +134,7 @@ def _check_work(simulation: Simulation) -> None:
 
 
 def out_of_balance(plan: Plan, state: State, t: float, drag: float) -> float:
-    """Return the largest force on a particle, or drag on its velocity, over the particle's weight.
+    """Return the largest force on a particle, or drag on its velocity, over the particle's weight on Earth.
 
     Args:
         plan: equations of motion.

@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_lab` and return its exit status."""
+    """Import and run the command `cloth_lab`; return its exit status."""
     return run_command("cloth_lab", "cloth_sim_ros.laboratory.lab_main", arguments)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import attrs
 
-from cloth_sim_ros.laboratory.command_options import DONE, add_sample_options, run_test, sample_of, write_json
+from cloth_sim_ros.laboratory.command_options import DONE, add_sample_options, run_test, sample_from_options, write_json
 from cloth_sim_ros.session.console import escape_unencodable
 
 _DESCRIPTION = (
@@ -28,7 +28,7 @@ _TESTS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_lab`: parse the options, run a textile test, and return the exit status."""
+    """Run `cloth_lab`: parse the options, run textile tests, print and write results; return the exit status."""
     escape_unencodable()
     options = _parser().parse_args(arguments)
     return run_test("cloth_lab", options, lambda: _run(options))
@@ -57,7 +57,7 @@ def _run(options: argparse.Namespace) -> int:
 
     if options.cells is not None and not 2 <= options.cells <= 100:
         raise LaboratoryError(f"--cells is {options.cells}; it must be from 2 to 100")
-    sample = sample_of(options)
+    sample = sample_from_options(options)
     cells = {} if options.cells is None else {"cells": options.cells}
     results = {}
     for name in _TESTS if options.test == "all" else [options.test]:

@@ -40,7 +40,7 @@ _PLANE = {"bending.model": "none", "material.bending_modulus": 0.0, "material.be
 def _clamp_force(
     sample: FabricSample, size: tuple[float, float], angle: float, cells: int, shift: tuple[float, float]
 ) -> Array:
-    """Return the force per width on a strip's upper clamp, across and along the strip [N/m], shape (2,).
+    """Return a strip's force per width on its displaced upper clamp, across and along [N/m], shape (2,), at rest.
 
     Args:
         sample: the fabric.
@@ -63,7 +63,7 @@ def _clamp_force(
 
 
 def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure the load of strips along warp and weft at several extensions, and their tensile modulus."""
+    """Simulate strips stretched along warp and weft; return measurements: tensile modulus, load at each extension."""
     measurements = []
     for direction, angle, stated in zip(
         ("warp", "weft"), (0.0, 0.5 * math.pi), sample.warp_and_weft("material.stretch_modulus"), strict=True
@@ -86,7 +86,7 @@ def measure_tension(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
 
 
 def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure the load of a specimen at several shear angles between parallel clamps, and its shear modulus.
+    """Simulate a specimen sheared between parallel clamps; return measurements: shear modulus, and load at each angle.
 
     The modulus is the slope of the force between the first two angles. The specimen's free sides bear no shear, which
     makes it smaller than the fabric's.
@@ -105,7 +105,7 @@ def measure_shear(sample: FabricSample, *, cells: int = CELLS) -> list[Measureme
 
 
 def measure_bias_extension(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure the load of a strip at 45 degrees to its threads at several extensions, and the moduli from it."""
+    """Simulate a strip stretched at 45 degrees to its threads; return measurements: two moduli, then loads."""
     length, width = BIAS_SIZE
     loads = [
         float(_clamp_force(sample, BIAS_SIZE, 0.25 * math.pi, cells, (0.0, extension * length))[1])
@@ -139,7 +139,7 @@ def measure_bias_extension(sample: FabricSample, *, cells: int = CELLS) -> list[
 def _curve(
     quantity: str, direction: str, points: tuple[float, ...], loads: list[float], *, unit: str = "%"
 ) -> list[Measurement]:
-    """Return a measurement for each point of a curve of loads [N/m] over extension or angle."""
+    """Return a measurement, without stated value, for each point of a curve of loads [N/m] over extension or angle."""
     texts = [f"{100.0 * point:g} %" if unit == "%" else f"{math.degrees(point):.3g} degrees" for point in points]
     return [
         Measurement(quantity=f"{quantity} at {text}", direction=direction, unit="N/m", measured=load)

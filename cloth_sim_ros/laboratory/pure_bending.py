@@ -31,7 +31,7 @@ _MAX_RESIDUAL = 0.02
 
 
 def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measurement]:
-    """Measure the bending modulus of strips along warp and weft, moments, and the hysteresis by friction."""
+    """Simulate bent strips along warp and weft; return measurements: bending modulus, moments, hysteresis."""
     friction_moment = float(sample.parameters["bending.friction_moment"])
     measurements = []
     for direction, angle, stated in zip(
@@ -64,14 +64,14 @@ def measure_bending(sample: FabricSample, *, cells: int = CELLS) -> list[Measure
 
 
 def bending_moment(sample: FabricSample, angle: float, curvature: float, *, cells: int = CELLS) -> float:
-    """Return the moment per width of a strip that is bent from flat to a curvature [1/m], in N."""
+    """Return the moment per width [N] of a strip that is bent from flat to a curvature [1/m], by simulation."""
     return bending_moments(sample, angle, (curvature,), cells=cells)[0]
 
 
 def bending_moments(
     sample: FabricSample, angle: float, curvatures: Sequence[float], *, cells: int = CELLS
 ) -> list[float]:
-    """Return the moments per width [N] of a strip that is bent from flat to one curvature after the other.
+    """Return the moments per width [N] of a strip that is bent from flat to one curvature [1/m] after the other.
 
     Args:
         sample: the fabric.

@@ -43,12 +43,12 @@ class FabricSample:
         return float(self.parameters["material.density"])
 
     def warp_and_weft(self, name: str) -> tuple[float, float]:
-        """Return a parameter's values along warp and weft, from the name of the one along warp."""
+        """Return a parameter's values (warp, weft) by the name of the one along warp, which stands for a weft of 0."""
         warp = float(self.parameters[name])
         return warp, float(self.parameters[f"{name}_weft"]) or warp
 
     def scene(self, values: Mapping[str, Any], files: Mapping[str, bytes] | None = None) -> Scene:
-        """Return a scene with a cloth of the fabric, without grippers.
+        """Build a scene with a cloth of the fabric, without grippers; raise ParameterError for invalid values.
 
         Args:
             values: further parameters, which override the fabric's.
@@ -61,7 +61,7 @@ class FabricSample:
 
 
 def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> FabricSample:
-    """Return the fabric of a test by its name, or from a fabric file or a scene file (ROS parameters).
+    """Read the fabric of a test by its name, or from a fabric file or a scene file (ROS parameters), or raise.
 
     Args:
         source: name of a fabric, or path of a file.
@@ -84,7 +84,7 @@ def _fabric(source: str) -> Fabric:
         return fabrics()[source]
     if not is_fabric_file(source) and not Path(source).exists():
         raise ParameterError(f"'{source}' is neither a file nor a fabric; the fabrics are {', '.join(fabrics())}")
-    text = parameter_file.text_of(source)
+    text = parameter_file.read_text(source)
     try:
         content = ros_yaml.load(text)
     except yaml.YAMLError as error:
@@ -103,7 +103,7 @@ def _fabric(source: str) -> Fabric:
 
 
 def _fabric_parameters(scene: Scene) -> dict[str, Any]:
-    """Return the parameters of a scene that describe its fabric."""
+    """Return the parameters of a scene that describe its fabric, by full name."""
     return {
         name: value
         for name, value in scene.parameters().items()

@@ -31,7 +31,7 @@ class Silhouette:
 
 
 def silhouette(positions: Array, triangles: NDArray[np.int64], plate_radius: float) -> Silhouette:
-    """Return the shadow of a specimen that lies on a plate about the origin.
+    """Measure the shadow (projection along z) of a specimen on a plate about the origin; return it.
 
     Args:
         positions: particles [m], shape (n, 3).
@@ -74,7 +74,7 @@ def _contour(points: Array, triangles: NDArray[np.int64], plate_radius: float) -
 
 
 def _count_nodes(radii: Array) -> int:
-    """Return the number of nodes (folds) of a contour: maxima that valleys of some depth separate."""
+    """Return the number of nodes (folds) of a contour: maxima between valleys of `MIN_NODE_DEPTH`."""
     limit = MIN_NODE_DEPTH * float(radii.mean())
     rolled = np.roll(radii, -int(np.argmin(radii))).tolist()
     nodes, is_rising, extreme = 0, True, rolled[0]

@@ -36,7 +36,7 @@ class DiscMesh:
     triangles: NDArray[np.int64]
 
     def obj(self) -> bytes:
-        """Return the mesh as the bytes of an OBJ file."""
+        """Return the mesh as the bytes of an OBJ file, with every bit of its points, z = 0."""
         lines = [f"v {x!r} {y!r} 0" for x, y in self.points.tolist()]
         lines += [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in self.triangles.tolist()]
         return "\n".join([*lines, ""]).encode()
@@ -51,7 +51,7 @@ class DiscMesh:
 def disc_mesh(
     radius: float, plate_radius: float, edge_length: float, *, pattern: str = "regular", seed: int = 0
 ) -> DiscMesh:
-    """Return the triangle mesh of a disc, with a ring of particles along the plate's edge.
+    """Build the mesh of a disc with a ring of particles along the plate's edge; raise LaboratoryError for unfit edges.
 
     Args:
         radius: radius of the disc [m].
@@ -95,7 +95,7 @@ def disc_mesh(
 
 
 def annulus(mesh: DiscMesh, plate_radius: float) -> DiscMesh:
-    """Return the part of a disc's mesh beyond the plate, with the ring of triangles inside the plate's edge.
+    """Return the mesh of a disc's overhang, from the row of triangles inside the plate's edge to the border.
 
     Args:
         mesh: the disc, with a ring of particles along the plate's edge.
@@ -116,14 +116,14 @@ def is_on_plate(points: Array, plate_radius: float) -> NDArray[np.bool_]:
 
 
 def _ring(radius: float, edge_length: float, angle: float) -> Array:
-    """Return points on a circle, one at an angle [rad], about an edge length apart, shape (k, 2)."""
+    """Return points on a circle about the origin, an edge length apart, the first at an angle [rad], (k, 2)."""
     count = max(round(2.0 * math.pi * radius / edge_length), 1)
     angles = angle + 2.0 * math.pi * np.arange(count) / count
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def _ring_points(radius: float, plate_radius: float, edge_length: float, seed: int) -> Array:
-    """Return points on rings, those along the plate's edge and the border among them, (n, 2)."""
+    """Return points of a disc, (n, 2): its centre, and rings at random angles, two at plate's edge and border."""
     angles = np.random.default_rng(seed)
     height = edge_length * ROW
     n_inner, n_outer = round(plate_radius / height), round((radius - plate_radius) / height)
@@ -134,7 +134,7 @@ def _ring_points(radius: float, plate_radius: float, edge_length: float, seed: i
 
 
 def _regular_points(radius: float, edge_length: float, angle: float) -> Array:
-    """Return points of a regular triangle lattice at an angle [rad], over twice the radius, shape (n, 2)."""
+    """Return points of a regular triangle lattice at an angle [rad] that covers the disc and more, shape (n, 2)."""
     n_rows = math.ceil(2.0 * radius / edge_length) + 2
     row, column = (index.ravel() for index in np.mgrid[-n_rows : n_rows + 1, -n_rows : n_rows + 1])
     x, y = (column + 0.5 * (row % 2)) * edge_length, row * edge_length * ROW
@@ -143,7 +143,7 @@ def _regular_points(radius: float, edge_length: float, angle: float) -> Array:
 
 
 def _triangulated(points: Array) -> DiscMesh:
-    """Return the Delaunay mesh of points (n, 2), without slivers along the border."""
+    """Return the Delaunay mesh of points (n, 2), counterclockwise, without slivers along the border."""
     from scipy.spatial import Delaunay
 
     triangles = Delaunay(points).simplices.astype(np.int64)

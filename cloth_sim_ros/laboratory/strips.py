@@ -24,7 +24,7 @@ STIFF_DRAG = 200.0
 
 @attrs.frozen(kw_only=True)
 class Measurement:
-    """Measured quantity of a specimen, and the value that the fabric states for it."""
+    """Measured quantity of a specimen, and the value that the fabric's parameters state for it."""
 
     quantity: str
     #: Direction of the specimen: warp, weft or bias; empty if it has none.
@@ -36,13 +36,13 @@ class Measurement:
 
     @property
     def ratio(self) -> float | None:
-        """Measured over stated value; None without a stated one."""
+        """Measured over stated value; None if that is missing or 0."""
         return self.measured / self.stated if self.stated else None
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class FabricStrip:
-    """Flat strip of fabric along y, from y = 0 on, on a grid of particles."""
+    """Flat strip of fabric along y, from y = 0 on, on a grid of particles, with the scene to simulate it."""
 
     scene: Scene
     #: Particles at rest [m], shape (n, 3).
@@ -61,11 +61,11 @@ class FabricStrip:
         return int(np.rint(self.points[:, 1].max() / self.cell)) + 1
 
     def equilibrium_positions(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Array:
-        """Return the positions of the strip's equilibrium [m], (n, 3); arguments and errors as of `equilibrium`."""
+        """Return the positions at rest [m], (n, 3), as `equilibrium`, whose arguments and errors it has."""
         return self.equilibrium(start, held, **options).positions
 
     def equilibrium(self, start: Array, held: NDArray[np.bool_], **options: Any) -> Equilibrium:
-        """Return the equilibrium of the strip with some of its particles held. Raises LaboratoryError without one.
+        """Simulate the strip with held particles until it is at rest; raise LaboratoryError if it never is.
 
         Args:
             start: positions at the beginning, those of held particles included [m], shape (n, 3).
@@ -85,7 +85,7 @@ class FabricStrip:
         return rest_state
 
     def forces(self, positions: Array, memory: StateMemory | None = None) -> Array:
-        """Return the force of the strip on each particle [N], held ones included, shape (n, 3).
+        """Return the force of the strip on each particle at rest [N], held ones included, shape (n, 3).
 
         Args:
             positions: positions [m], shape (n, 3).
@@ -108,7 +108,7 @@ def strip(
     min_columns: int = 3,
     values: Mapping[str, Any] | None = None,
 ) -> FabricStrip:
-    """Return a flat strip of a fabric, cut at an angle to the warp, that nothing holds.
+    """Build a flat strip of a fabric, cut at an angle [rad] to the warp, that nothing holds.
 
     Args:
         sample: the fabric.
@@ -144,7 +144,7 @@ def _direction(angle: float) -> list[float]:
 
 
 def describe(title: str, measurements: Sequence[Measurement]) -> str:
-    """Return measurements as a text table under a title."""
+    """Return measurements beside stated values as a text table of several lines under a title."""
     width = max(len(measurement.quantity) for measurement in measurements)
     lines = [title, f"  {'':{width}}  {'':5}  {'measured':>10}  {'fabric':>10}  {'ratio':>6}"]
     for measurement in measurements:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def bending_forces(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
-    """Build the forces of bending of a scene's sheet, from hinges or triangles as `bending.model` says.
+    """Build the bending forces, as a list, for a `bending.model` except `none` and `axial`; raise ValueError if unfit.
 
     Hinges have S7 (opposite), S7 and S8 (crossed), S7 and S9 (altitude), or are quadratic. Triangles have a shape
     operator.
@@ -93,7 +93,7 @@ def bending_forces(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: N
 
 
 def _shape_operator_couplings(scene: PhysicsScene, sheet: Sheet, masses: Array) -> Force:
-    """Build the bending force of triangles with a shape operator.
+    """Build the shape-operator force of bending; raise ValueError for raw springs, rest angles or a curved rest shape.
 
     Raises:
         ValueError: for a sheet that is not flat at rest.
@@ -121,7 +121,7 @@ def _shape_operator_couplings(scene: PhysicsScene, sheet: Sheet, masses: Array) 
 
 
 def friction_of_hinges(scene: PhysicsScene, sheet: Sheet) -> Force:
-    """Build the internal friction of bending, which acts in hinges.
+    """Build the force of bending friction in a sheet's hinges, from `bending.friction_moment` and `yield_curvature`.
 
     A grid has it in the hinges of its edges: they bend as threads do. Their moment is then the same in all directions.
 
@@ -161,7 +161,7 @@ def _parsed_rest_angles(data: bytes) -> RestAngles:
 
 
 def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array | None:
-    """Return the rest angle of hinges (h, 4) that the parameters set [rad], one number or (h,).
+    """Return the rest angles that parameters set for hinges (h, 4) [rad]: a number, an array (h,), or None if unset.
 
     NaN stands for the angle of the rest shape, None for the angles of all.
     """

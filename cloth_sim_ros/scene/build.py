@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 def build_sheet(scene: PhysicsScene) -> Sheet:
-    """Build the geometry of a scene's cloth: from a mesh file, from a springs file, or as a grid.
+    """Build the sheet of a scene, from a file (cached by content; repairs of a mesh are logged) or as a grid.
 
     Raises:
         ParameterError: for a file whose content makes no sheet.
@@ -84,7 +84,7 @@ def _parsed_sheet(
 
 
 def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> ThreadStiffness:
-    """Calculate the spring stiffnesses of a scene's grid, as force per strain [N], from its moduli.
+    """Convert a scene's moduli to a grid's spring stiffnesses, force per strain [N], or raise ParameterError.
 
     Raises:
         ParameterError: if the moduli can't be met.
@@ -102,7 +102,7 @@ def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> ThreadStiffness:
 
 
 def anchored_particles(scene: PhysicsScene, sheet: Sheet) -> list[int]:
-    """Return the indices of the particles that `cloth.anchors` names, in ascending order.
+    """Return the sorted indices of the particles that `cloth.anchors` names; raise ParameterError for an invalid name.
 
     Raises:
         ParameterError: for an anchor that is neither an edge or corner of a grid nor a particle index.
@@ -114,7 +114,7 @@ def anchored_particles(scene: PhysicsScene, sheet: Sheet) -> list[int]:
 
 
 def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
-    """Return the pairs of particles that `cloth.joints` joins, shape (m, 2).
+    """Return the pairs of particles that `cloth.joints` joins, (m, 2), without joints to obstacles; raise if invalid.
 
     Raises:
         ParameterError: for a joint that does not name two different particles, or two edges of equal length; for two
@@ -147,7 +147,7 @@ def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
 
 
 def obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[str, int]]:
-    """Return the obstacle and the particle of each joint to a present obstacle, in the order of `obstacles`.
+    """Return (obstacle name, particle) of each joint to a present obstacle, in the order of the parameter `obstacles`.
 
     Raises:
         ParameterError: as `joined_particles`; for a joint of two obstacles, or one that is named twice.
@@ -157,7 +157,7 @@ def obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[str, int]]:
 
 
 def _described_obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[str, int]]:
-    """Return the obstacle and the particle of each joint to a described obstacle, present or not."""
+    """Return (obstacle name, particle) of each joint to a described obstacle, present or not, in the scene's order."""
     if not any(scene.cloth.joints):
         return []
     joints, count = list[tuple[str, int]](), len(sheet.positions())
@@ -178,7 +178,7 @@ def _described_obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[
 
 
 def _joint_ends(scene: PhysicsScene) -> Iterator[tuple[str, list[str]]]:
-    """Yield each entry of `cloth.joints` with the names of its two ends."""
+    """Yield each entry of `cloth.joints` with the names of its two ends; raise ParameterError unless there are two."""
     for joint in filter(None, scene.cloth.joints):
         ends = joint.split("-")
         if len(ends) != 2 or not all(ends):
@@ -187,12 +187,12 @@ def _joint_ends(scene: PhysicsScene) -> Iterator[tuple[str, list[str]]]:
 
 
 def _is_obstacle(scene: PhysicsScene, sheet: Sheet, end: str) -> bool:
-    """Return True if the end of a joint names an obstacle, present or not; names of a grid's edges come first."""
+    """Return True if a joint's end names an obstacle, present or not, and no edge or corner of a grid sheet."""
     return end in scene.described and not (isinstance(sheet, GridSheet) and sheet.has_edge(end))
 
 
 def _check_pieces(scene: PhysicsScene, sheet: MeshSheet, joints: NDArray[np.int64]) -> None:
-    """Refuse a mesh with a piece that neither joints (m, 2) nor obstacles connect with the first one."""
+    """Raise ParameterError for a mesh with a piece that neither joints (m, 2) nor obstacles connect to particle 0."""
     count, names = len(sheet.positions()), list(scene.described)
     held = [(particle, count + names.index(name)) for name, particle in _described_obstacle_joints(scene, sheet)]
     connections = np.concatenate([sheet.surface.edges, joints, np.array(held, dtype=np.int64).reshape(-1, 2)])
@@ -206,7 +206,7 @@ def _check_pieces(scene: PhysicsScene, sheet: MeshSheet, joints: NDArray[np.int6
 
 
 def named_particles(parameter: str, name: str, sheet: Sheet, count: int) -> list[int]:
-    """Return the indices of the particles that a name means: an index, or a grid's edge or corner; none if empty.
+    """Return the particles that a name means: an index, a grid's edge or corner, or none if empty. Raise for others.
 
     Raises:
         ParameterError: naming the parameter, for another name or a number that is too large.
@@ -231,7 +231,7 @@ def named_particles(parameter: str, name: str, sheet: Sheet, count: int) -> list
 
 
 def build_model(scene: PhysicsScene) -> Model:
-    """Build the physical model of a scene: masses, forces and anchors."""
+    """Build a new physical model of a scene: masses, forces and anchors. Raise ValueError for invalid combinations."""
     sheet = build_sheet(scene)
     masses = sheet.masses(scene.material.density)
     joints = joined_particles(scene, sheet)
@@ -263,7 +263,7 @@ def build_model(scene: PhysicsScene) -> Model:
 
 
 def _grips(scene: PhysicsScene, sheet: Sheet, masses: Array) -> Grips:
-    """Build the force of grippers, which grasp nothing yet, and of joints to obstacles at their initial poses."""
+    """Build the force of all grippers, which grasp nothing yet, and of joints to obstacles at their initial poses."""
     joints, n_grippers = obstacle_joints(scene, sheet), len(scene.gripper_names)
     if not joints:
         return Grips(n_grippers)
@@ -293,7 +293,7 @@ def attachment_points(joints: list[tuple[str, int]], names: list[str], poses: Ar
 def joint_grasps(
     scene: PhysicsScene, joints: list[tuple[str, int]], masses: Array, offsets: Array
 ) -> tuple[NDArray[np.int64], Grasps]:
-    """Return the indices of obstacles with joints, and the springs of these joints as grasps of particles.
+    """Return indices of obstacles with joints, ascending, and the springs of these joints as `Grasps` in this order.
 
     Args:
         scene: gives obstacles, stiffness and damping.
@@ -331,7 +331,7 @@ def contact_surface(scene: PhysicsScene, sheet: Sheet) -> ContactSurface | None:
 
 
 def _starting_paths(scene: PhysicsScene) -> Array:
-    """Return constant paths of obstacles at their initial poses, shape (obstacles, PATH_NUMBERS)."""
+    """Return paths that rest at the initial poses of the present obstacles, shape (obstacles, PATH_NUMBERS)."""
     rows = np.zeros((len(scene.obstacle_names), PATH_NUMBERS))
     for row, name in zip(rows, scene.obstacle_names, strict=True):
         row[1:4], row[13:17] = scene.described[name].position, normalized(scene.described[name].orientation)
@@ -339,7 +339,7 @@ def _starting_paths(scene: PhysicsScene) -> Array:
 
 
 def uniform_forces(scene: PhysicsScene) -> list[Force]:
-    """Build the forces that act on every particle alike: gravity, drag, and the wind's part of drag."""
+    """Build a list of the forces that act on all particles alike: gravity, drag, the wind's part of drag, if not 0."""
     forces = list[Force]()
     if any(scene.gravity):
         forces.append(Gravity(scene.gravity))
@@ -353,7 +353,7 @@ def uniform_forces(scene: PhysicsScene) -> list[Force]:
 
 
 def _air_panels(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
-    """Build the drag of the air on the surface's panels; an empty list if both coefficients are 0."""
+    """Build the drag of the air on the surface's panels, as a list; empty if both coefficients are 0."""
     wind = scene.wind
     if not wind.normal_drag and not wind.tangential_drag:
         return []
@@ -364,7 +364,7 @@ def _air_panels(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
 
 
 def _added_mass(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
-    """Build the inertia of the air that the surface carries along; an empty list if it is 0."""
+    """Build the inertia of the air that the surface carries along, as a list; empty if it is 0."""
     if not scene.air.added_mass:
         return []
     from cloth_sim_ros.physics.model.forces.added_mass import AddedMass
@@ -373,7 +373,7 @@ def _added_mass(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
 
 
 def _panels(sheet: Sheet) -> NDArray[np.int64]:
-    """Return the panels on which air acts, by the particles at their corners: cells of a grid, or triangles.
+    """Return the corner particles of the panels on which air acts: cells of a grid (m, 4), or triangles (m, 3).
 
     A grid has panels per cell, not per triangle. Therefore the area of each particle is proportional to its mass.
     """
@@ -381,7 +381,7 @@ def _panels(sheet: Sheet) -> NDArray[np.int64]:
 
 
 def build_plan(scene: PhysicsScene) -> Plan:
-    """Build the model of a scene, and compile it for the engine."""
+    """Build a scene's model and compile it to a new plan for the engine; raise ValueError for invalid combinations."""
     return compile(build_model(scene))
 
 
@@ -396,7 +396,7 @@ def _grid_families(scene: PhysicsScene, sheet: GridSheet, threads: ThreadStiffne
 
 
 def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[Force]:
-    """Build the membrane of triangles, less the stiffness of a grid's axial bending springs, and these springs."""
+    """Return a list: the triangle membrane, then a grid's axial bending springs, whose stiffness the membrane lacks."""
     from cloth_sim_ros.physics.model.sheets.membrane import membrane
 
     springs: list[GridSprings] = []
@@ -428,7 +428,7 @@ def membrane_forces(scene: PhysicsScene, sheet: GridSheet | MeshSheet) -> list[F
 
 
 def axial_threads(scene: PhysicsScene, sheet: GridSheet) -> tuple[ThreadStiffness, tuple[float, float]]:
-    """Return the axial bending springs of a grid as threads, and the stretch stiffness that they add [N/m].
+    """Return a grid's axial bending springs as threads, and the stretch stiffness that they add (warp, weft) [N/m].
 
     The stiffness is along warp and weft. The threads have neither edges nor diagonals.
 
@@ -459,7 +459,7 @@ STIFFENING = ("warp_stiffening", "weft_stiffening", "shear_stiffening")
 
 
 def fabric_moduli(scene: PhysicsScene) -> FabricModuli:
-    """Return the moduli of a scene's fabric for a membrane of triangles.
+    """Return a scene's moduli for a membrane of triangles; raise ParameterError if Poisson's ratio does not fit them.
 
     Raises:
         ParameterError: for a Poisson's ratio that the moduli exclude.
@@ -509,7 +509,7 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
 
 
 def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> list[Force]:
-    """Build the zero-length springs (S4) of joints between particles; none without pairs (m, 2)."""
+    """Build the zero-length springs (S4) between joined pairs of particles (m, 2), as a list; empty without pairs."""
     if not len(pairs):
         return []
     cloth, (first, second) = scene.cloth, masses[pairs.T]

@@ -23,7 +23,7 @@ MAX_MILLIMETRES_DEPTH = 65.535
 
 @attrs.frozen(kw_only=True)
 class CameraParameters:
-    """Parameters of one depth camera, a group under its own name, e.g. `wrist.width`.
+    """Parameters `<camera>.*` of one depth camera, e.g. `wrist.width`: image, range, pose and noise.
 
     Its optical frame has x right, y down and z forward (REP 103).
     """

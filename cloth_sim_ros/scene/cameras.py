@@ -27,7 +27,7 @@ def declarations(name: str) -> tuple[Parameter, ...]:
 
 
 def camera_names(values: Iterable[str], groups: Collection[str]) -> list[str]:
-    """Return the valid names of cameras that the parameter `cameras` lists, each once.
+    """Return the valid names of cameras in the parameter `cameras`, each once; invalid ones are ignored.
 
     Args:
         values: parameters by full name; without values there are no cameras.
@@ -40,7 +40,7 @@ def camera_names(values: Iterable[str], groups: Collection[str]) -> list[str]:
 
 
 def hint(name: str, groups: Collection[str]) -> str:
-    """Return the end of a sentence on an unknown parameter that might belong to a camera; empty for others."""
+    """Return advice to name a camera, a sentence for the message on an unknown parameter; empty if unfitting."""
     camera, _, leaf = name.rpartition(".")
     leaves = [entry.name.rpartition(".")[2] for entry in declarations("c")]
     is_camera = leaf in leaves and NAME.fullmatch(camera) and camera not in groups
@@ -48,7 +48,7 @@ def hint(name: str, groups: Collection[str]) -> str:
 
 
 def build_cameras(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, CameraParameters]:
-    """Build the parameters of each named camera from checked values by full name."""
+    """Build the `CameraParameters` of each named camera from checked values by full name; unset ones take defaults."""
     return {name: parameters.build(CameraParameters, dict(values), f"{name}.") for name in names}
 
 
@@ -60,7 +60,7 @@ def check_cameras(
     obstacles: Collection[str],
     groups: Collection[str],
 ) -> None:
-    """Refuse invalid names and parameters of cameras; one error names all of them.
+    """Raise a single ParameterError on all invalid names and parameters of cameras; return nothing if all are valid.
 
     Args:
         names: names of the cameras.
@@ -117,7 +117,7 @@ def _faults(name: str, camera: CameraParameters) -> Iterator[str]:
 
 
 def check_change(name: str, before: CameraParameters, now: CameraParameters) -> None:
-    """Refuse a change of a camera's parameter that can be set at start only.
+    """Raise ParameterError if a camera's parameters `before` and `now` differ in one that can be set at start only.
 
     Raises:
         ParameterError: naming the parameter.
@@ -129,15 +129,15 @@ def check_change(name: str, before: CameraParameters, now: CameraParameters) -> 
 
 
 def optical_frame(node: str, camera: str) -> str:
-    """Return the name of the optical frame of a camera that follows no TF frame, given the node's full name."""
+    """Return the frame_id of a camera that follows no TF frame: `<node's full name>/<camera>_optical_frame`."""
     return f"{node.strip('/')}/{camera}_optical_frame"
 
 
 def camera_pose(camera: CameraParameters) -> tuple[float, ...]:
-    """Return position [m] and unit quaternion x, y, z, w of a camera that follows no TF frame."""
+    """Return position [m] and unit quaternion x, y, z, w in the scene's `frame_id`, as a camera's parameters set."""
     return (*camera.position, *normalized(camera.orientation).tolist())
 
 
 def optical_frames(node: str, cameras: Mapping[str, CameraParameters]) -> list[tuple[str, Sequence[float]]]:
-    """Return name and pose of the optical frame of each camera that follows no TF frame."""
+    """Return (frame_id, pose of 7 numbers) of the optical frame of each camera that follows no TF frame."""
     return [(optical_frame(node, name), camera_pose(camera)) for name, camera in cameras.items() if not camera.frame]

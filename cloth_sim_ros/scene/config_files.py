@@ -14,7 +14,7 @@ _PACKAGE = "cloth_sim_ros"
 
 
 def config_file(name: str) -> Path:
-    """Return the path of a configuration file of the package by its name, e.g. `grasp.yaml`.
+    """Return the path of the package's configuration file `name`, e.g. `grasp.yaml`, or raise FileNotFoundError.
 
     Raises:
         FileNotFoundError: if no location has it; the message names the locations.

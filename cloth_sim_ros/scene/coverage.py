@@ -36,7 +36,7 @@ class CoverageScene(Protocol):
 
 
 def check_coverage(scene: CoverageScene) -> None:
-    """Refuse `coverage` with an obstacle that has no plane, a rectangle without area, or a cloth without a surface.
+    """Raise ParameterError if a set `coverage.obstacle` is no plane or box, or if rectangle or cloth has no area.
 
     Raises:
         ParameterError: naming the parameter.
@@ -55,7 +55,7 @@ def check_coverage(scene: CoverageScene) -> None:
 
 
 class Coverage:
-    """Area of the cloth's projection onto a plane, with overlapping layers counted once.
+    """Measurement of the cloth's area projected onto an obstacle's plane, overlapping layers counted once.
 
     The plane is z = 0 of the obstacle's frame, and the projection is along z. Square cells from the frame's origin on
     count if their centre lies in a projected triangle.
@@ -76,7 +76,7 @@ class Coverage:
         self._half = [0.5 * length if length else math.inf for length in size]
 
     def area(self, x: Array, pose: Array) -> float:
-        """Return the covered area [m^2] at positions x [m], shape (3, n), and a pose of the plane's obstacle.
+        """Return the covered area [m^2], from positions x [m], (3, n), and the obstacle's pose (7,), counted in cells.
 
         Args:
             x: positions [m], shape (3, n).
@@ -106,7 +106,7 @@ class Coverage:
 
 
 def _total_height(y: Array, triangles: NDArray[np.int64], low: float, high: float, *, enough: float) -> float:
-    """Return the sum of the triangles' extents along y, within an interval, or an upper bound that is small enough.
+    """Return the sum of the triangles' extents along y within [low, high], or an upper bound of it up to `enough`.
 
     Args:
         y: heights of the corners, shape (n,).
@@ -126,7 +126,7 @@ def _total_height(y: Array, triangles: NDArray[np.int64], low: float, high: floa
 def _spans(
     points: Array, triangles: NDArray[np.int64], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return row, first and last column of the integer points in a triangle, for each row that each triangle crosses.
+    """Return arrays row, first and last column of the integer points in triangles, an entry per triangle and row.
 
     Args:
         points: corners in the plane, shape (2, n).

@@ -53,10 +53,10 @@ class Distribution:
 
     @classmethod
     def from_file(cls, path: str | Path) -> Distribution:
-        """Read a distribution from a file of `cloth_fit --json`, or YAML with `parameters` and `covariance`.
+        """Read a distribution from a file, JSON of `cloth_fit` or YAML; raise DistributionError if that fails.
 
-        Parameters that the fit left open are left out. Deviations of entries replace those of the covariance, which
-        then gives the correlations.
+        YAML has `parameters` and, unless they are independent, `covariance`. Parameters that the fit left open are left
+        out. Deviations of entries replace those of the covariance, which then gives the correlations.
 
         Raises:
             DistributionError: if the file cannot be read or describes no distribution.
@@ -69,7 +69,7 @@ class Distribution:
 
     @classmethod
     def from_bytes(cls, content: bytes, subject: str) -> Distribution:
-        """Parse the content of a file as a distribution. `subject` names the file in errors.
+        """Parse a file's content as a distribution, or raise DistributionError that begins with `subject`, its name.
 
         Raises:
             DistributionError: if the content describes no distribution.
@@ -80,7 +80,7 @@ class Distribution:
             raise DistributionError(f"{subject}: {error}") from error
 
     def factors(self, members: int = 0, seed: int = 0) -> list[tuple[float, ...]]:
-        """Return for each member of an ensemble the factors on the parameters: sigma points, or a random sample.
+        """Return a tuple of factors, one a parameter, for each member of an ensemble: sigma points or a random sample.
 
         Args:
             members: 0 for sigma points, two for each parameter: mean and covariance of the logarithms are exact, and
@@ -101,7 +101,7 @@ class Distribution:
         ]
 
     def check(self, scene: Scene) -> None:
-        """Refuse a scene in which a parameter is unknown, no number, 0, not live, or without effect on the motion.
+        """Raise DistributionError unless each parameter is a live, nonzero float of the scene that affects the motion.
 
         Raises:
             DistributionError: if a parameter is unknown, no number, zero, or cannot change while the cloth runs.
@@ -124,7 +124,7 @@ class Distribution:
                 )
 
     def check_members(self, scene: Scene, members: int = 0, seed: int = 0) -> None:
-        """Refuse a scene in which the parameters cannot vary, or a member of the ensemble leaves their ranges.
+        """Raise DistributionError if a parameter cannot vary in a scene, or a member's values make an invalid scene.
 
         Raises:
             DistributionError: naming parameter or member.
@@ -154,12 +154,12 @@ class Distribution:
         return sentences
 
     def member_values(self, scene: Scene, factors: Sequence[float]) -> dict[str, Any]:
-        """Return a scene's values of the distributed parameters times the factors of one member of an ensemble."""
+        """Return a scene's values of the distributed parameters by full name, times the factors of one member."""
         values = scene.parameters()
         return self.scaled({name: values[name] for name in self.names}, factors)
 
     def scaled(self, values: Mapping[str, Any], factors: Sequence[float]) -> dict[str, Any]:
-        """Return given parameters by full name, with those of the distribution multiplied by a member's factors."""
+        """Return a copy of parameters by full name, those of the distribution multiplied by a member's factors."""
         scaled = dict(values)
         for name, factor in zip(self.names, factors, strict=True):
             if name in scaled:
@@ -170,7 +170,7 @@ class Distribution:
 
 
 def describe_member(index: int, values: Mapping[str, Any]) -> str:
-    """Return a text that names a member of an ensemble, with the values of its parameters."""
+    """Return a text for messages, such as `member 2 of the ensemble (air.drag = 0.1)`, from index and parameters."""
     texts = [f"{name} = {_text(value)}" for name, value in values.items()]
     return f"member {index} of the ensemble ({', '.join(texts)})"
 
@@ -233,7 +233,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_open(entry: Mapping[str, Any]) -> bool:
-    """Return True for a parameter that a fit left open: its bound is missing, or too large for a distribution."""
+    """Return True for an entry of a file that the fit left open: its bound is null, or too large for a distribution."""
     if "bound" not in entry or "deviation" in entry:
         return False
     bound = entry["bound"]
@@ -248,7 +248,7 @@ def _value(entry: Mapping[str, Any]) -> float | None:
 
 
 def _deviation(entry: Mapping[str, Any]) -> float:
-    """Return the relative standard deviation of a parameter: `deviation`, or `bound` as cloth_fit names it."""
+    """Return a file entry's relative standard deviation, `deviation` or else `bound`; raise if it is out of range."""
     deviation = entry.get("deviation", entry.get("bound"))
     if not _is_number(deviation) or not 0.0 < deviation <= MAX_DEVIATION:
         raise DistributionError(
@@ -259,7 +259,7 @@ def _deviation(entry: Mapping[str, Any]) -> float:
 
 
 def _covariance(rows: Any, size: int, used: Sequence[int]) -> list[list[float]]:
-    """Check the covariance of a file, and return that of the used parameters."""
+    """Check a file's covariance, (size, size), and return its rows and columns of the used parameters, or raise."""
     is_square = isinstance(rows, list) and len(rows) == size
     if not is_square or not all(isinstance(row, list) and len(row) == size for row in rows):
         raise DistributionError(f"covariance must have {size} rows of {size} numbers, in the order of 'parameters'")
@@ -279,7 +279,7 @@ def _covariance(rows: Any, size: int, used: Sequence[int]) -> list[list[float]]:
 
 
 def _cholesky(covariance: Sequence[Sequence[float]]) -> list[list[float]]:
-    """Return the lower triangular root L of a covariance, L L' = C.
+    """Return the lower triangular L with L L' = covariance; raise DistributionError if it is not positive definite.
 
     Raises:
         DistributionError: if the covariance is not positive definite.

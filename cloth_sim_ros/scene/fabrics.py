@@ -40,7 +40,7 @@ class Fabric:
 
 @cache
 def fabrics() -> dict[str, Fabric]:
-    """Return the fabrics that the package contains, by name."""
+    """Return the package's fabrics by name, read from its file once and cached."""
     tree = ros_yaml.load(_FILE.read_text(encoding="utf-8"))
     return {name: _fabric(name, content) for name, content in tree.items()}
 
@@ -48,7 +48,7 @@ def fabrics() -> dict[str, Fabric]:
 def fabric_parameters(
     values: Mapping[str, Any], files: Mapping[str, bytes], folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Return the parameters that the fabric in `material.fabric` sets, and the content of its file by name.
+    """Return the parameters that `material.fabric` sets, and its file's content by name; read that file if necessary.
 
     Args:
         values: given parameters by full name.
@@ -73,7 +73,7 @@ def fabric_parameters(
 
 
 def with_changes(values: Mapping[str, Any], changes: Mapping[str, Any], files: Mapping[str, bytes]) -> dict[str, Any]:
-    """Return all values of a scene after changes, which may include a change of its fabric.
+    """Return a scene's values after changes; a changed fabric also removes the values that the former one set.
 
     A changed fabric replaces the values of the former one, and every other value that it sets.
 
@@ -93,7 +93,7 @@ def with_changes(values: Mapping[str, Any], changes: Mapping[str, Any], files: M
 
 
 def read_fabric(name: str, content: bytes) -> Fabric:
-    """Parse the content of a fabric's file, a YAML of the fields of `Fabric`.
+    """Parse the content of a fabric's file, a YAML of the fields of `Fabric`; raise ParameterError if it is invalid.
 
     Args:
         name: name of the file, for errors.
@@ -117,7 +117,7 @@ def read_fabric(name: str, content: bytes) -> Fabric:
 
 
 def _fabric(name: str, content: Any) -> Fabric:
-    """Check the parsed YAML of a fabric, and return the fabric.
+    """Build a fabric from a parsed YAML tree; raise ParameterError that names all missing or invalid fields.
 
     Raises:
         ParameterError: for missing or invalid fields.

@@ -27,7 +27,7 @@ MAX_BYTES = 128 << 20
 
 
 def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Path) -> dict[str, bytes]:
-    """Read every file that parameter values name; return the contents by the names in the values.
+    """Read the files that parameter values name, unless `known` has them; return contents by these names, or raise.
 
     Args:
         values: parameters by full name.
@@ -58,7 +58,7 @@ def is_fabric_file(name: str) -> bool:
 
 
 def file_content(parameter: str, path: Path) -> bytes:
-    """Read the file that a parameter names, and return its bytes.
+    """Read the file that a parameter names, at most 128 MiB; raise ParameterError, naming the parameter, if it fails.
 
     Raises:
         ParameterError: if it can't be read.

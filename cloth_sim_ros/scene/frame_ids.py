@@ -12,7 +12,7 @@ from typing import Any
 
 
 def fault(frame_id: str) -> str:
-    """Return the fault of a frame's name and the remedy, as the end of a sentence; empty if the name is valid.
+    """Return the fault of a frame_id and its remedy as the end of a sentence; an empty text if the frame_id is valid.
 
     Args:
         frame_id: the name, not empty.
@@ -29,7 +29,7 @@ def fault(frame_id: str) -> str:
 
 
 def faults(values: Mapping[str, Any]) -> Iterable[str]:
-    """Yield a sentence for each parameter that names an invalid frame.
+    """Yield a sentence for each parameter by full name whose value is an invalid name of a frame.
 
     Args:
         values: parameters by full name; parameters without a frame's name are ignored.

@@ -24,7 +24,7 @@ class PinchScene(Protocol):
 
 
 def pads_of(scene: PinchScene, mass: float) -> list[ParallelJaw]:
-    """Build the parallel jaw of each pinching gripper; the cloth's mass [kg] sets the inertia of its drive.
+    """Build each pinching gripper's `ParallelJaw`, or raise; the cloth's mass [kg] sets the inertia of the drive.
 
     Raises:
         ParameterError: for invalid values.

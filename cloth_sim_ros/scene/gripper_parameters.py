@@ -22,7 +22,7 @@ _SECTION_PREFIX = "gripper."
 
 
 def declaration(name: str) -> Parameter:
-    """Return the declaration of a single gripper's parameter by its full name, e.g. ``left.frame``."""
+    """Return the declaration of one gripper's parameter, e.g. `left.frame`, derived from that of `gripper.frame`."""
     leaf = name.rpartition(".")[2]
     common = next(
         entry
@@ -52,7 +52,7 @@ def individual_names(names: Iterable[str], groups: Collection[str], described: C
 
 
 def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
-    """Refuse parameters of single grippers, such as `left.frame`, whose gripper does not exist.
+    """Raise ParameterError for a parameter of a single gripper, such as `left.frame`, whose gripper does not exist.
 
     Args:
         names: full names of parameters of single grippers.
@@ -70,7 +70,7 @@ def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
 
 
 def value(values: Mapping[str, Any], section: sections.GripperParameters, gripper: str, leaf: str) -> Any:
-    """Return a gripper's value of a parameter: its own if set, otherwise that of the section `gripper`.
+    """Return a parameter's value for a gripper: its own in `values` if set, otherwise that of the section `gripper`.
 
     Args:
         values: parameters of single grippers by full name.

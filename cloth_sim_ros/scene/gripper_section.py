@@ -22,7 +22,7 @@ GRIP_MODELS = SPRING, PRESCRIBED = ("spring", "prescribed")
 
 @attrs.frozen(kw_only=True)
 class GripperParameters:
-    """Parameters that all grippers share, unless a single gripper overrides them."""
+    """Parameters `gripper.*`, which all grippers share unless a single gripper overrides them, e.g. `left.frame`."""
 
     mode: str = parameter(
         "string",

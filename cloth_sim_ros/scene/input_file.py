@@ -15,11 +15,11 @@ _CHUNK_BYTES = 1 << 20
 
 
 class InputFileError(ValueError):
-    """Error: an input file was refused; the message gives the reason."""
+    """Error: an input file is too large, not a regular file, or no UTF-8; the message names the file and the reason."""
 
 
 def read_bytes(path: str | Path, *, max_bytes: int = MAX_TEXT) -> bytes:
-    """Read a file on disk of limited size; refuse a larger one, a device, a pipe or a socket.
+    """Read a whole regular file; raise InputFileError above `max_bytes` and for a device, pipe or socket, else OSError.
 
     Args:
         path: path of the file.
@@ -45,7 +45,7 @@ def read_bytes(path: str | Path, *, max_bytes: int = MAX_TEXT) -> bytes:
 
 
 def read_text(path: str | Path, *, max_bytes: int = MAX_TEXT) -> str:
-    """Read a file on disk of limited size as text in UTF-8; see `read_bytes`."""
+    """Read a whole regular file as UTF-8 text; raise InputFileError if it is none, and the errors of `read_bytes`."""
     try:
         return read_bytes(path, max_bytes=max_bytes).decode()
     except UnicodeDecodeError as error:
@@ -53,7 +53,7 @@ def read_text(path: str | Path, *, max_bytes: int = MAX_TEXT) -> str:
 
 
 def _read_bounded(file: BinaryIO, size: int, max_bytes: int) -> bytes | None:
-    """Return the content of a file that claims `size` bytes; None if it holds more than `max_bytes`."""
+    """Read an open file of expected `size` to its end; return its bytes, or None if there are more than `max_bytes`."""
     chunks = [file.read(size + 1)]
     n_bytes = len(chunks[0])
     while n_bytes <= max_bytes and (chunk := file.read(_CHUNK_BYTES)):

@@ -33,7 +33,7 @@ class KeypointScene(Protocol):
 
 
 def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
-    """Return the particle index of each keypoint by name, in the order of the parameter `keypoints`.
+    """Return the particle of each keypoint by name, in the parameter's order; raise ParameterError for invalid entries.
 
     Raises:
         ParameterError: for an unknown corner or particle, a name that is no ROS name, or one that occurs twice.
@@ -58,7 +58,7 @@ def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
 
 
 class KeypointPoses:
-    """Poses of the keypoints: z along the surface's normal, x along the cloth.
+    """Calculation of keypoints' poses from positions: z along the surface's normal, x along the cloth.
 
     x follows a grid's row, or the first edge of a mesh's first triangle at the particle. Without a normal the
     orientation is that of the frame.
@@ -89,7 +89,7 @@ class KeypointPoses:
 
 
 def _edge(sheet: Sheet, triangles: NDArray[np.int64], particle: int) -> tuple[int, int]:
-    """Return a directed edge at a particle: along a grid's row, or to the next corner of its first triangle."""
+    """Return start and end of an edge at a particle: in a grid's row, or of a triangle; equal without a triangle."""
     if isinstance(sheet, GridSheet):
         is_last = particle % sheet.columns == sheet.columns - 1
         return (particle - 1, particle) if is_last else (particle, particle + 1)
@@ -98,7 +98,7 @@ def _edge(sheet: Sheet, triangles: NDArray[np.int64], particle: int) -> tuple[in
 
 
 def _orientation(normal: Array, edge: Array) -> tuple[float, float, float, float]:
-    """Return the quaternion of axes with z along a unit normal and x along the part of an edge perpendicular to it."""
+    """Return the quaternion x, y, z, w of axes z = unit normal, x = edge's part across it; the identity if one is 0."""
     across = edge - (edge * normal).sum() * normal
     length = math.sqrt((across * across).sum())
     if not (normal.any() and length > 0.0):

@@ -58,7 +58,7 @@ class SolidMesh:
 
 
 def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> MeshSheet:
-    """Parse a mesh file's content as the sheet of a cloth, and log merges and repairs; arguments as those of `read`.
+    """Parse a mesh file's content as a cloth's sheet, and log merges and repairs; arguments and errors as `read`.
 
     Raises:
         ValueError: if it is no such file, or holds no surface of one cloth.
@@ -72,7 +72,7 @@ def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, 
 
 
 def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> CheckedMesh:
-    """Parse and check a mesh file's content as the surface of a cloth, without logging.
+    """Parse and check a mesh file's content as the surface of a cloth, without logging; raise ValueError if it is none.
 
     An STL file repeats a vertex in each of its triangles by design. Merging these copies is therefore not reported as a
     repair, and vertices are numbered in order of appearance.
@@ -94,8 +94,8 @@ def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, s
     return attrs.evolve(mesh, repairs=(*content.repairs, *repairs))
 
 
-def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
-    """Parse a mesh file's content as the mesh of a solid, and repair one that is open.
+def parse_solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
+    """Parse a mesh file's content as the mesh of a solid; repair an open one and log that. Raise ValueError if unfit.
 
     Vertices at one position are merged, and unused ones are dropped. A mesh that is still open is repaired. Copies of
     vertices are merged and flat triangles joined to neighbours. Edges are split at vertices that lie on them.
@@ -136,7 +136,7 @@ def _merge_limit(content: _Content) -> float:
 
 
 def _content(data: bytes, name: str) -> tuple[str, _Content]:
-    """Parse a mesh file by the suffix of its name; return the format and the content."""
+    """Parse a mesh file's bytes by the suffix of its name; return suffix and content, or raise ValueError."""
     kind = Path(name).suffix.lower().lstrip(".")
     if kind not in KINDS:
         raise ValueError(f"'{name}' is no mesh file that can be read: its name must end in {', '.join(KINDS)}")
@@ -147,7 +147,7 @@ def _content(data: bytes, name: str) -> tuple[str, _Content]:
 
 
 def _obj(data: bytes) -> _Content:
-    """Read vertices and faces of an OBJ file.
+    """Parse the bytes of an OBJ file; return vertices and triangulated faces, or raise ValueError that names the line.
 
     trimesh is not used here. It splits and reorders vertices at materials, groups and texture seams. It also counts
     relative indices from the file's end and cuts concave faces along an outer diagonal.
@@ -194,7 +194,7 @@ def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 
 def _obj_index(word: bytes, line: int, n_vertices: int) -> int:
-    """Return the vertex index, from 0, of a face's corner like 7, 7/1/2 or -1, the last vertex above the face."""
+    """Return a face corner's vertex index, from 0, of a word like 7, 7/1/2 or -1 (the last so far), or raise."""
     try:
         index = int(word.split(b"/", 1)[0])
     except ValueError as error:
@@ -207,7 +207,7 @@ def _obj_index(word: bytes, line: int, n_vertices: int) -> int:
 
 
 def _ply(data: bytes) -> _Content:
-    """Read vertices and faces of a PLY file.
+    """Parse the bytes of a PLY file; return vertices and triangulated faces, or raise ValueError.
 
     trimesh is not used here, because it cuts concave faces outside and guesses at the format.
     """
@@ -219,7 +219,7 @@ def _ply(data: bytes) -> _Content:
 
 
 def _stl(data: bytes) -> _Content:
-    """Read the triangle corners of an STL file, three per triangle, after a check of its length."""
+    """Parse the bytes of an STL file; return three vertices per triangle, or raise ValueError if it is incomplete."""
     try:
         import trimesh
     except ModuleNotFoundError as error:
@@ -256,7 +256,7 @@ def _stl(data: bytes) -> _Content:
 
 
 def load_with_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
-    """Call one of trimesh's readers, and turn any error of a broken file into a ValueError.
+    """Call a reader of trimesh, with trimesh's logger silenced for good; convert errors of a broken file to ValueError.
 
     The exception that a broken file raises depends on the fault; its text names the cause. An exception of the call
     itself, not of code within it, is a programming error and passes.

@@ -12,7 +12,7 @@ from cloth_sim_ros.scene.scene import Scene
 
 
 def mesh_notes(scene: Scene) -> tuple[list[str], list[str]]:
-    """Return sentences to log as information and as warnings on each mesh of a scene."""
+    """Return two lists of log sentences on a scene's meshes: information, and warnings on repairs of the cloth."""
     notes: list[str] = []
     warnings: list[str] = []
     sheet = scene.sheet
@@ -28,5 +28,5 @@ def mesh_notes(scene: Scene) -> tuple[list[str], list[str]]:
 
 
 def silence_mesh_log() -> None:
-    """Silence the mesh reader's own log lines, unless the program configures logging."""
+    """Add a null handler to the mesh reader's logger: no lines on stderr unless the program configures logging."""
     logging.getLogger("cloth_sim_ros.scene.mesh_file").addHandler(logging.NullHandler())

@@ -49,7 +49,7 @@ def described_obstacles(values: Iterable[str], groups: Collection[str]) -> list[
 
 
 def hint(name: str, groups: Collection[str]) -> str:
-    """Return the end of a sentence on an unknown parameter that might belong to an obstacle; empty for others."""
+    """Return advice to set `<name>.shape`, a sentence for the message on an unknown parameter; empty if unfitting."""
     obstacle, _, leaf = name.rpartition(".")
     leaves = [entry.name.rpartition(".")[2] for entry in declarations("o")]
     if leaf not in leaves or not NAME.fullmatch(obstacle) or obstacle in groups:
@@ -58,12 +58,12 @@ def hint(name: str, groups: Collection[str]) -> str:
 
 
 def build_descriptions(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.ObstacleParameters]:
-    """Build the description of each named obstacle from checked values by full name."""
+    """Build the `ObstacleParameters` of each named obstacle from checked values by full name; return them by name."""
     return {name: parameters.build(sections.ObstacleParameters, dict(values), f"{name}.") for name in names}
 
 
 def check_distinct(kind: str, names: Sequence[str]) -> None:
-    """Refuse names of grippers, obstacles or cameras that are no ROS names, or that occur twice.
+    """Raise ParameterError if a name of grippers, obstacles or cameras (`kind`) is no ROS name, or occurs twice.
 
     Raises:
         ParameterError: naming it.
@@ -76,7 +76,7 @@ def check_distinct(kind: str, names: Sequence[str]) -> None:
 
 
 def check_change(name: str, before: sections.ObstacleParameters, now: sections.ObstacleParameters) -> None:
-    """Refuse a change of a present obstacle's parameters, other than `friction` and `frame`.
+    """Raise ParameterError if a present obstacle's parameters differ in more than `friction` and `frame`.
 
     Raises:
         ParameterError: naming the parameter.
@@ -93,7 +93,7 @@ def check_change(name: str, before: sections.ObstacleParameters, now: sections.O
 def check_names(
     names: Sequence[str], described_names: Collection[str], grippers: Collection[str], groups: Collection[str]
 ) -> None:
-    """Refuse obstacles whose name is invalid or taken, or whose `<name>.shape` is not set.
+    """Raise ParameterError if an obstacle's name is invalid or taken, or its `<name>.shape` is not set.
 
     Args:
         names: names of the present obstacles.
@@ -116,7 +116,7 @@ def check_names(
 
 
 def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
-    """Refuse a new mesh file while the cloth runs, because a recording would lack its content.
+    """Raise ParameterError if values name a new mesh file while the cloth runs: a recording would lack its content.
 
     Raises:
         ParameterError: naming the parameter.
@@ -126,8 +126,8 @@ def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
             raise ParameterError(f"{name} can't change while the cloth runs; describe the obstacle at start")
 
 
-def solid(name: str, description: sections.ObstacleParameters, files: Mapping[str, bytes]) -> Obstacle:
-    """Build the rigid shape of an obstacle from its description and the contents of files by name.
+def build_solid(name: str, description: sections.ObstacleParameters, files: Mapping[str, bytes]) -> Obstacle:
+    """Build the rigid shape of an obstacle from its description and the contents of files by name, or raise; cached.
 
     Raises:
         ParameterError: for an invalid description.
@@ -137,12 +137,12 @@ def solid(name: str, description: sections.ObstacleParameters, files: Mapping[st
         raise ParameterError(f"{name}.shape is mesh, and {name}.mesh is not set; give the mesh's file")
     if is_mesh and description.mesh not in files:
         raise ParameterError(f"the content of '{description.mesh}' is missing; build the scene with from_parameters")
-    return _solid(name, description, files[description.mesh] if is_mesh else b"")
+    return _cached_solid(name, description, files[description.mesh] if is_mesh else b"")
 
 
 @lru_cache(maxsize=512)
-def _solid(name: str, description: sections.ObstacleParameters, content: bytes) -> Obstacle:
-    """Build the rigid shape of an obstacle from its description and its mesh file's content.
+def _cached_solid(name: str, description: sections.ObstacleParameters, content: bytes) -> Obstacle:
+    """Build the rigid shape of an obstacle from its description and its mesh file's content, or raise; cached.
 
     Raises:
         ParameterError: for an invalid description.
@@ -170,7 +170,7 @@ def _solid(name: str, description: sections.ObstacleParameters, content: bytes) 
 
 @lru_cache(maxsize=128)
 def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
-    """Parse the content of an obstacle's mesh file as the closed mesh of a solid [m].
+    """Parse a mesh file's content as the mesh of a solid [m], repaired if open; raise ValueError. Results are cached.
 
     Args:
         content: content of the file.
@@ -182,11 +182,11 @@ def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
     """
     from cloth_sim_ros.scene import mesh_file
 
-    return mesh_file.solid(content, name=name, scale=scale)
+    return mesh_file.parse_solid(content, name=name, scale=scale)
 
 
 def check_friction_count(name: str, friction: Sequence[float]) -> None:
-    """Refuse coefficients of friction unless there are one or two."""
+    """Raise ParameterError unless the parameter `name` has one or two coefficients of friction."""
     if len(friction) not in (1, 2):
         raise ParameterError(
             f"{name} has {len(friction)} entries, {list(friction)}; give one number, or static and kinetic"
@@ -194,7 +194,7 @@ def check_friction_count(name: str, friction: Sequence[float]) -> None:
 
 
 def check_friction(name: str, friction: Sequence[float]) -> None:
-    """Refuse invalid coefficients of friction: one number, or static and kinetic, the latter no larger."""
+    """Raise ParameterError unless `friction` is one number, or static and kinetic coefficient, the latter no larger."""
     check_friction_count(name, friction)
     if friction[-1] > friction[0]:
         raise ParameterError(
@@ -204,7 +204,7 @@ def check_friction(name: str, friction: Sequence[float]) -> None:
 
 
 def check_cloth(sheet: Sheet, thickness: float, *, touches_itself: bool) -> None:
-    """Refuse a cloth whose surface is missing, degenerate, or too fine for the contact thickness.
+    """Raise ParameterError if contact cannot act on a cloth: surface missing, degenerate, or finer than the thickness.
 
     Args:
         sheet: geometry of the cloth.

@@ -56,7 +56,7 @@ _GROUPS = {
 
 
 def page() -> str:
-    """Return the reference page of all parameters in Markdown."""
+    """Return the reference page of all parameters in Markdown, from their declarations."""
     declared = Scene.declared([OBSTACLE], cameras=[CAMERA])
     groups = dict.fromkeys([*_GROUPS, *(_group(entry) for entry in declared)])
     parts = [_HEAD]

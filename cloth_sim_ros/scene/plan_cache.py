@@ -38,7 +38,7 @@ class PlanCache:
         self._candidate: tuple[Scene, Plan] | None = None
 
     def change(self, scene: Scene) -> Plan:
-        """Put another scene in force, and return its plan, reused if its elements are the same."""
+        """Put a scene in force and return its plan: the present one, updated in place, if its elements are the same."""
         before, self._scene = self._scene, scene
         if not same_elements(before, scene):
             candidate, self._candidate = self._candidate, None
@@ -48,7 +48,7 @@ class PlanCache:
         return self.plan
 
     def _update_uniform(self, before: Scene, scene: Scene) -> None:
-        """Update gravity, drag and wind of the plan in place."""
+        """Update gravity, drag and wind of the plan in place, from those of `before` to those of `scene`."""
         uniform, replaced = uniform_forces(scene), {force.name for force in uniform_forces(before)}
         remaining, air = [force for force in self.plan.model.forces if force.name not in replaced], None
         if scene.wind.normal_drag or scene.wind.tangential_drag or scene.air.added_mass:
@@ -63,7 +63,7 @@ class PlanCache:
         self.plan.change_uniform([*remaining, *uniform], uniform, air_coefficients=air)
 
     def spectral_bounds(self, scene: Scene, x: Array) -> tuple[float, float]:
-        """Return bounds of squared angular frequency [1/s^2] and damping rate [1/s] for a scene not yet in force.
+        """Return bounds of squared angular frequency [1/s^2] and damping rate [1/s] of another scene; may compile it.
 
         If its elements differ, this builds its plan and keeps it for `change`.
 
@@ -80,7 +80,7 @@ class PlanCache:
 
 
 def same_elements(before: Scene, scene: Scene) -> bool:
-    """Return True if two scenes have the same springs, hinges, panels, masses, anchors, grippers and obstacles."""
+    """Return True if scenes have the same springs, hinges, panels, masses, anchors, grippers, obstacles and contact."""
     return _elements(before) == _elements(scene)
 
 

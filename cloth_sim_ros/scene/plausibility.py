@@ -24,7 +24,7 @@ OBSTACLE_EXTENTS = (0.001, 20.0)
 
 
 def cloth_size(scene: Scene, x: Array, masses: Array) -> str:
-    """Return extent [m], mass [kg] and the cloud's resolution [m] as part of a sentence.
+    """Return a text with extent [m], mass [kg] and the cloud's resolution [m], as part of a sentence.
 
     Args:
         scene: scene of the cloth.

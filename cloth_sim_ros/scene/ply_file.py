@@ -56,7 +56,7 @@ class PlyElement:
         return {"vertex": "vertices"}.get(self.name, f"{self.name}s")
 
     def lines(self) -> Iterator[str]:
-        """Yield the lines of a PLY header that declare the element."""
+        """Yield the lines of a PLY header that declare the element and its properties."""
         yield f"element {self.name} {self.count}"
         for name, length, kind in self.properties:
             yield f"property list {length} {kind} {name}" if length else f"property {kind} {name}"
@@ -75,7 +75,7 @@ class PlyMesh:
 
 
 def read_ply(data: bytes) -> PlyMesh:
-    """Parse a PLY file's content as vertices and polygons. A file without faces may have triangle strips.
+    """Parse a PLY file's bytes as vertices and polygons, or triangle strips; raise ValueError if it is incomplete.
 
     Raises:
         ValueError: if it is no complete PLY file.
@@ -104,7 +104,7 @@ def read_ply(data: bytes) -> PlyMesh:
 
 
 def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
-    """Parse the header of a PLY file; return the format, the elements, and the bytes after the header."""
+    """Parse a PLY file's header; return format, elements and the bytes after the header, or raise ValueError."""
     end = _END.search(data)
     if end is None:
         raise ValueError("the header does not end with end_header")
@@ -143,7 +143,7 @@ def _header(data: bytes) -> tuple[str, list[PlyElement], bytes]:
 
 
 def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
-    """Refuse counts of rows in a PLY header that the rest of a binary file, `length` bytes, can't hold."""
+    """Raise ValueError if a binary PLY file's `length` bytes after the header can't hold the rows that it counts."""
     for element in elements:
         if element.count and not element.properties:
             raise ValueError(f"element {element.name} in the header has no property")
@@ -162,7 +162,7 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
 
 
 def _corner_list(face: PlyElement) -> str:
-    """Return the name of the property that lists the corners of a PLY file's face."""
+    """Return the name of the property that lists the corners of a PLY file's face, or raise ValueError."""
     lists = [name for name, length, kind in face.properties if length and kind not in _FRACTIONS]
     for name in (*_CORNER_LISTS, *lists):
         if name in lists:
@@ -171,7 +171,7 @@ def _corner_list(face: PlyElement) -> str:
 
 
 def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArray[np.void]]:
-    """Return the rows of every element of a PLY file by the element's name."""
+    """Parse the rows of every element of a PLY file; return arrays by the element's name, or raise ValueError."""
     if form != "ascii":
         uniform = _uniform_rows(elements, body, "<" if form == "binary_little_endian" else ">")
         if uniform is not None:
@@ -209,7 +209,7 @@ def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArr
 
 
 def _check_end(length: int, n_read: int) -> None:
-    """Refuse a binary PLY file with bytes after its last row."""
+    """Raise ValueError if a binary PLY file has bytes after its last row."""
     if n_read < length:
         raise ValueError(f"{length - n_read} bytes follow its last row: a count in its header is wrong")
 
@@ -246,7 +246,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
 
 
 def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[bytes]:
-    """Yield the rows of an ASCII PLY file as lines, because its values may be broken into lines anywhere."""
+    """Yield each row of an ASCII PLY file as a line, from its values; raise ValueError if their count is wrong."""
     index = 0
     for element in elements:
         for row in range(element.count):

@@ -30,7 +30,7 @@ class RebuildableScene(Protocol):
 
 
 def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
-    """Return a recorded scene's parameters by full name; those newer than the recording keep the former behaviour.
+    """Parse a recorded scene's parameters by full name; those newer than the recording keep the former behaviour.
 
     Args:
         scene_yaml: parameter file of the scene.
@@ -43,7 +43,7 @@ def recorded_values(scene_yaml: str, *, node: str) -> dict[str, Any]:
 
 
 def merge_hint(scene: RebuildableScene) -> str:
-    """Return the end of a sentence for an initial state that fits only with `cloth.merge: false`; else empty."""
+    """Return the end of a sentence that advises `cloth.merge: false`, if the initial state fits then; else empty."""
     if not scene.cloth.mesh or not scene.cloth.merge:
         return ""
     try:

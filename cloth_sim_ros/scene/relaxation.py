@@ -19,13 +19,13 @@ MEMORY_KEY = "relaxed"
 
 
 def factor_of(state: State) -> float:
-    """Return the factor by which a state's tolerance is relaxed, at least 1."""
+    """Return the factor by which the tolerance is relaxed, from a state's memory; 1 if it is not."""
     stored = state.memory.get(MEMORY_KEY)
     return 1.0 if stored is None else float(stored[0])
 
 
 def set_factor(state: State, factor: float) -> None:
-    """Store in a state the factor by which the scene's tolerance is relaxed, from 1 to `MAX_FACTOR`."""
+    """Store in a state's memory the factor on the scene's tolerance, from 1 (no entry) to `MAX_FACTOR`, unchecked."""
     if factor == 1.0:
         state.memory.pop(MEMORY_KEY, None)
     else:

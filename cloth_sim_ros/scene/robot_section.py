@@ -15,7 +15,7 @@ SOURCES = JOINT_STATES, TF = ("joint_states", "tf")
 
 @attrs.frozen(kw_only=True)
 class RobotParameters:
-    """Links of a robot as obstacles, from its description (URDF) and its joint states."""
+    """Parameters `robot.*`: links of a robot as obstacles, from its description (URDF) and its joint states."""
 
     enabled: bool = parameter(
         "bool", False, "Make the collision geometry of a robot's links obstacles, which follow its joint states"

@@ -55,7 +55,7 @@ from cloth_sim_ros.scene.sections import (
     TfParameters,
     WindParameters,
 )
-from cloth_sim_ros.scene.sheet_checks import check_sheet, without_surface
+from cloth_sim_ros.scene.sheet_checks import check_sheet, raw_springs_defaults
 from cloth_sim_ros.scene.topology_id import difference, topology_id
 from cloth_sim_ros.scene.value_checks import check_values
 
@@ -204,7 +204,7 @@ class Scene:
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
     def __attrs_post_init__(self) -> None:
-        """Refuse combinations of values that are invalid together, although each is in its range."""
+        """Raise ParameterError for values that are invalid together, although each is in its range."""
         check_values(self)
         check_sheet(self)
         keypoints.keypoint_particles(self)
@@ -251,14 +251,14 @@ class Scene:
     @staticmethod
     @cache
     def groups() -> frozenset[str]:
-        """Return the first parts of parameters' names, which no obstacle may have."""
+        """Return the first parts of all parameters' names, e.g. `cloth`: no obstacle or camera may be named so."""
         return frozenset(entry.name.partition(".")[0] for entry in Scene.declared()).union(_ROS_GROUPS)
 
     @classmethod
     def from_parameters(
         cls, values: dict[str, Any], *, files: Mapping[str, bytes] | None = None, folder: str | Path = "."
     ) -> Scene:
-        """Build a scene from values by full name, e.g. ``{"cloth.size": [1.0, 1.0]}``.
+        """Build a scene from values by full name (``{"cloth.size": [1.0, 1.0]}``) and files that they name, or raise.
 
         Args:
             values: parameters; missing ones take their default.
@@ -275,7 +275,7 @@ class Scene:
         fabric_values, fabric_files = fabrics.fabric_parameters(values, files or {}, folder)
         checked = parameters.check(
             cls.declared_for(values),
-            {**fabric_values, **without_surface(values), **values},
+            {**fabric_values, **raw_springs_defaults(values), **values},
             hint=lambda name: scene_obstacles.hint(name, cls.groups()) or scene_cameras.hint(name, cls.groups()),
         )
         content = scene_files.read(checked, {**(files or {}), **fabric_files}, folder)
@@ -292,7 +292,7 @@ class Scene:
 
     @classmethod
     def from_file(cls, path: str | Path, *, node: str = "cloth_sim") -> Scene:
-        """Read a scene from a ROS parameter file; its folder is the base of file names in it.
+        """Read a scene from a ROS parameter file, and the files that it names, relative to its folder; or raise.
 
         ROS's own entries of a parameter dump (`use_sim_time`, `qos_overrides`) are ignored. With `robot.enabled`, the
         links in `robot.description_file` become obstacles.
@@ -310,7 +310,7 @@ class Scene:
         return cls.from_parameters(cloth_values, folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:
-        """Return every parameter's value by full name."""
+        """Return every parameter's value by full name, in a new dict, those of obstacles and cameras included."""
         values = parameters.flatten(self)
         for name, obstacle in self.described.items():
             values.update(parameters.flatten(obstacle, f"{name}."))
@@ -319,7 +319,7 @@ class Scene:
         return values | self.individual
 
     def changed(self, values: dict[str, Any]) -> Scene:
-        """Return a new scene with the values of live parameters replaced.
+        """Return a new scene with the values of live parameters replaced; raise ParameterError for others.
 
         Raises:
             ParameterError: for an unknown name, a read-only parameter, or an invalid value.
@@ -370,7 +370,7 @@ class Scene:
 
     @property
     def has_actions(self) -> bool:
-        """True if at least one gripper has an action server."""
+        """True if at least one gripper has an action server, by the parameter `action`."""
         return any(self.of_gripper(name, "action") != NO_ACTION for name in self.gripper_names)
 
     def of_gripper(self, gripper: str, leaf: str) -> Any:
@@ -401,11 +401,11 @@ class Scene:
     def solids(self) -> list[Obstacle]:
         """Rigid shapes of the present obstacles, in the order of `obstacle_names`."""
         names = self.obstacle_names
-        return [scene_obstacles.solid(name, self.described[name], self.files) for name in names]
+        return [scene_obstacles.build_solid(name, self.described[name], self.files) for name in names]
 
     @property
     def sheet(self) -> Sheet:
-        """Geometry of the cloth: a grid, a mesh, or raw springs.
+        """Geometry of the cloth: a grid (built at each access), a mesh, or raw springs.
 
         Raises:
             ParameterError: for a mesh or springs file with invalid content.
@@ -419,7 +419,7 @@ class Scene:
         return (sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else (1, len(sheet.positions()))
 
     def threads(self) -> ThreadStiffness:
-        """Return the spring stiffnesses of a grid, as force per strain [N], and the resulting Poisson's ratio.
+        """Return the spring stiffnesses of a grid, force per strain [N], and Poisson's ratio; raise for other sheets.
 
         Raises:
             ParameterError: if the moduli can't be met, or the cloth is no grid.
@@ -440,7 +440,7 @@ class Scene:
         return POISSON_RATIO if isinstance(sheet, MeshSheet) else None
 
     def distribution(self) -> Distribution:
-        """Return the distribution of uncertain parameters in the file `ensemble.file`.
+        """Parse the distribution of uncertain parameters in `ensemble.file`; raise ParameterError if that is unset.
 
         Raises:
             ParameterError: if there is none, its content is invalid, or its parameters cannot vary in this scene.
@@ -458,19 +458,19 @@ class Scene:
         return distribution
 
     def anchored_particles(self) -> list[int]:
-        """Return the indices of the anchored particles."""
+        """Return the sorted indices of the particles that `cloth.anchors` names."""
         return anchored_particles(self, self.sheet)
 
     def model(self) -> Model:
-        """Build the model: masses, forces, anchors. Forces that the scene does not use are left out."""
+        """Build a new model: masses, forces, anchors. Forces that the scene does not use are left out."""
         return build_model(self)
 
     def plan(self) -> Plan:
-        """Build the model and compile it for the engine."""
+        """Build the model and compile it into a new plan for the engine."""
         return build_plan(self)
 
     def initial_positions(self) -> Array:
-        """Return the particles' starting positions in the scene's frame [m], shape (particle_count, 3)."""
+        """Return particle positions of the sheet at its initial pose [m], (particle_count, 3), no `initial_state`."""
         return self._rotate(self.sheet.positions()) + np.asarray(self.cloth.position)
 
     def _rotate(self, vectors: Array) -> Array:
@@ -480,7 +480,7 @@ class Scene:
         return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=1)
 
     def starting_state(self) -> State:
-        """Return the starting state: that of `initial_state`, at frame 0 and running; else the sheet at rest.
+        """Return a new starting state: that of `initial_state`, at frame 0 and running; else the sheet at rest.
 
         A springs file gives velocities of its own.
 
@@ -496,7 +496,7 @@ class Scene:
         return State(self.initial_positions(), velocities, cloth=topology_id(sheet))
 
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:
-        """Build the scene's integrator; `factor` multiplies its tolerance."""
+        """Build the scene's integrator, with its tolerance relaxed by a factor, see `relaxed_tolerance`."""
         tolerance = relaxation.relaxed_tolerance(self.tolerance, factor) or None
         return make_integrator(self.integrator, step=self.step or None, tolerance=tolerance, work=self.work_limit)
 

@@ -19,7 +19,7 @@ from cloth_sim_ros.scene.robot_section import RobotParameters as RobotParameters
 
 @attrs.frozen(kw_only=True)
 class ClothParameters:
-    """Geometry and initial pose of the sheet."""
+    """Parameters `cloth.*`: geometry, initial pose, anchors and joints of the sheet."""
 
     size: tuple[float, ...] = parameter(
         "double[]",
@@ -103,7 +103,7 @@ class ClothParameters:
 
 @attrs.frozen(kw_only=True)
 class MaterialParameters:
-    """Fabric, density, moduli and damping of the sheet."""
+    """Parameters `material.*`: fabric, density, moduli and damping of the sheet."""
 
     fabric: str = parameter(
         "string",
@@ -224,7 +224,7 @@ class MaterialParameters:
 
 @attrs.frozen(kw_only=True)
 class MembraneParameters:
-    """Model of the resistance to stretch and shear: springs or triangles."""
+    """Parameter `membrane.model` of the resistance to stretch and shear: springs or triangles."""
 
     model: str = parameter(
         "string",
@@ -241,7 +241,7 @@ MODULUS_MODELS = ("crossed", "altitude", "quadratic", "shape_operator")
 
 @attrs.frozen(kw_only=True)
 class BendingParameters:
-    """Model, rest angles and friction of bending."""
+    """Parameters `bending.*`: model, rest angles and friction of bending."""
 
     model: str = parameter(
         "string",
@@ -311,7 +311,7 @@ class BendingParameters:
 
 @attrs.frozen(kw_only=True)
 class AirParameters:
-    """Drag by still air, and the mass of air that the cloth carries along."""
+    """Parameters `air.*`: drag by still air, and the mass of air that the cloth carries along."""
 
     drag: float = parameter("double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", min=0.0, max=1e4, live=True)
     added_mass: float = parameter(
@@ -328,7 +328,7 @@ class AirParameters:
 
 @attrs.frozen(kw_only=True)
 class WindParameters:
-    """Moving air and its drag on the surface. Drag is relative to it: acceleration -air.drag (v - velocity)."""
+    """Parameters `wind.*` of moving air. Drag is relative to it: acceleration -air.drag (v - velocity)."""
 
     velocity: tuple[float, ...] = parameter(
         "double[]",
@@ -359,7 +359,7 @@ class WindParameters:
 
 @attrs.frozen(kw_only=True)
 class ContactParameters:
-    """Contact of the cloth with obstacles and with itself."""
+    """Parameters `contact.*` of contact of the cloth with obstacles and with itself."""
 
     self_: bool = parameter(
         "bool", False, "Contact of the cloth with itself: layers keep the thickness and do not intersect"
@@ -397,7 +397,7 @@ class ContactParameters:
 
 @attrs.frozen(kw_only=True)
 class ObstacleParameters:
-    """Parameters of one obstacle, a group under its own name, e.g. `table.size`.
+    """Parameters `<obstacle>.*` of one obstacle, e.g. `table.size`; it is present only if `obstacles` lists it.
 
     Some may change only while `obstacles` does not name it; their description says so.
     """
@@ -476,7 +476,7 @@ class ObstacleParameters:
 
 @attrs.frozen(kw_only=True)
 class PointsParameters:
-    """Optional fields and precision of the cloud on ~/points."""
+    """Parameters `points.*`: optional fields and precision of the cloud on ~/points."""
 
     velocity: bool = parameter(
         "bool", False, "Fields vx, vy, vz [m/s] after x, y, z; the cloud is twice as large", live=True, observes=True
@@ -507,13 +507,13 @@ class PointsParameters:
 
     @property
     def fields(self) -> dict[str, bool]:
-        """Fields after x, y, z, and the precision, as arguments of an encoder of clouds."""
+        """Keyword arguments of an encoder of clouds: flags of velocity, normals, ids, and double precision."""
         return {"velocity": self.velocity, "normal": self.normal, "ids": self.id, "double": self.double}
 
 
 @attrs.frozen(kw_only=True)
 class CoverageParameters:
-    """Plane, rectangle and resolution of the covered area on ~/coverage."""
+    """Parameters `coverage.*`: plane, rectangle and resolution of the covered area on ~/coverage."""
 
     obstacle: str = parameter(
         "string",
@@ -544,7 +544,7 @@ class CoverageParameters:
 
 @attrs.frozen(kw_only=True)
 class TfParameters:
-    """Coordinate frames that the node broadcasts."""
+    """Parameters `tf.*` of the coordinate frames that the node broadcasts."""
 
     publish: bool = parameter(
         "bool",
@@ -557,7 +557,7 @@ class TfParameters:
 
 @attrs.frozen(kw_only=True)
 class RecordParameters:
-    """Recording of sessions: start, folder, format and limits."""
+    """Parameters `record.*` of recorded sessions: start, folder, format and limits."""
 
     enabled: bool = parameter("bool", False, "Record a session from the start")
     folder: str = parameter(
@@ -594,7 +594,7 @@ class RecordParameters:
 
 @attrs.frozen(kw_only=True)
 class DiagnosticsParameters:
-    """Optional measurements for diagnostics: energy balance and true error."""
+    """Parameters `diagnostics.*`: optional measurements of energy balance and true error."""
 
     energy: bool = parameter(
         "bool", False, "Report the energy balance; every frame is then computed a second time, term by term", live=True
@@ -610,7 +610,7 @@ class DiagnosticsParameters:
 
 @attrs.frozen(kw_only=True)
 class EnsembleParameters:
-    """Ensemble of cloths with uncertain parameters beside the cloth."""
+    """Parameters `ensemble.*` of cloths with uncertain parameters beside the cloth."""
 
     file: str = parameter(
         "string",

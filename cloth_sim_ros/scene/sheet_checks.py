@@ -28,8 +28,8 @@ _ACCEPTED: list[tuple[Any, ...]] = []
 _MAX_ACCEPTED = 4
 
 
-def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return default values for raw springs, which have no surface: `wind.normal_drag` is 0 unless it is set.
+def raw_springs_defaults(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the defaults that differ for raw springs, which have no surface: `wind.normal_drag` 0 unless it is set.
 
     Args:
         values: given parameters, by full name.
@@ -40,7 +40,7 @@ def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_sheet(scene: PhysicsScene) -> None:
-    """Refuse a scene whose sheet, bending model, anchors, joints or air do not fit together.
+    """Raise ParameterError if a scene's sheet, bending model, anchors, joints or air do not fit together.
 
     Raises:
         ParameterError: naming the parameter.
@@ -122,13 +122,13 @@ def check_sheet(scene: PhysicsScene) -> None:
 
 
 def _element_values(scene: PhysicsScene) -> tuple[Any, ...]:
-    """Return all values on which the elements of a sheet depend."""
+    """Return a tuple of all values on which the elements of a sheet depend: equal for equal sheets."""
     contents = [scene.files.get(path) for path in (scene.cloth.mesh, scene.cloth.springs, scene.bending.rest_angles)]
     return (scene.cloth, scene.material, scene.membrane, scene.bending, *contents)
 
 
 def _check_threads(scene: PhysicsScene, sheet: Sheet) -> None:
-    """Refuse different moduli of warp and weft that the elements of a sheet can't represent."""
+    """Raise ParameterError for moduli of warp and weft that the elements of a sheet can't represent."""
     if scene.membrane.model == "triangles":
         if isinstance(sheet, RawSprings):
             raise ParameterError("membrane.model 'triangles' is not for cloth.springs, which has springs of its own")

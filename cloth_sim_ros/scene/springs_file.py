@@ -16,7 +16,7 @@ _MAX_VALUES = 500_000
 
 
 def parse(data: bytes) -> RawSprings:
-    """Parse the bytes of a springs file, YAML or .npz, as raw springs.
+    """Parse the bytes of a springs file, YAML or .npz, as raw springs; raise ValueError that names the faulty table.
 
     Raises:
         ValueError: for bytes in neither format, or tables that make no system; the message names the table.
@@ -25,7 +25,7 @@ def parse(data: bytes) -> RawSprings:
 
 
 def parse_rest_angles(data: bytes) -> RestAngles:
-    """Parse the bytes of a file of hinges' rest angles; errors as those of `parse`."""
+    """Parse the bytes of a file of hinges' rest angles, YAML or .npz; raise ValueError that names the faulty table."""
     return RestAngles.from_tables(_tables(data, "edges and angles"))
 
 

@@ -24,19 +24,19 @@ class MaterialScene(Protocol):
 
 
 def stretch_moduli(scene: MaterialScene) -> tuple[float, float]:
-    """Return Young's moduli along warp and weft [N/m]."""
+    """Return Young's moduli (warp, weft) [N/m]; an unset one of the weft is that of the warp."""
     material = scene.material
     return material.stretch_modulus, material.stretch_modulus_weft or material.stretch_modulus
 
 
 def bending_moduli(scene: MaterialScene) -> tuple[float, float]:
-    """Return the bending moduli along warp and weft [N m]."""
+    """Return the bending moduli (warp, weft) [N m]; an unset one of the weft is that of the warp."""
     material = scene.material
     return material.bending_modulus, material.bending_modulus_weft or material.bending_modulus
 
 
 def axial_stiffness(scene: MaterialScene) -> tuple[float, float]:
-    """Return the stiffness of axial bending springs along warp and weft [N/m]; 0 for other models of bending."""
+    """Return the stiffness of axial bending springs (warp, weft) [N/m]; 0 for other models of bending."""
     bending = scene.bending
     if bending.model != "axial":
         return 0.0, 0.0
@@ -50,7 +50,7 @@ def is_oblique(scene: MaterialScene) -> bool:
 
 
 def along_grid(scene: MaterialScene, warp_and_weft: tuple[float, float], names: str) -> tuple[float, float]:
-    """Convert a quantity along warp and weft to one along rows and columns of a grid.
+    """Convert (warp, weft) to (along rows, along columns) of a grid; raise ParameterError if unequal and oblique.
 
     Args:
         scene: gives the direction of the warp.

@@ -34,7 +34,7 @@ def topology_id(sheet: Sheet) -> tuple[int, int, int]:
 
 
 def difference(state: State, cloth: tuple[int, int, int]) -> str:
-    """Return how a state's cloth differs from a given one, as the end of a sentence; empty if it does not.
+    """Return the difference of a state's cloth from a topology id, as the end of a sentence; empty if it fits.
 
     A state without a cloth's identity fits any cloth with its number of particles.
     """

@@ -67,7 +67,7 @@ class SceneValues(Protocol):
 
 
 def check_values(scene: SceneValues) -> None:
-    """Refuse invalid numbers and names of a scene, before its sheet is built; one error names all of them.
+    """Raise a single ParameterError on all invalid numbers and names of a scene, before its sheet is built.
 
     Raises:
         ParameterError: naming each parameter.

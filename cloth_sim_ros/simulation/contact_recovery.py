@@ -40,7 +40,7 @@ class ContactRecovery:
     duration: float
 
     def describe(self) -> str:
-        """Return the affected contacts, the duration and the remedy, in one sentence."""
+        """Return one sentence for the log: the affected contacts, the duration and the remedy."""
         counterparts = " and ".join(f"'{name}'" if name else "itself" for name in self.names)
         count = f"{self.particles} particle{'' if self.particles == 1 else 's'}" if self.particles else "no particle"
         return (
@@ -59,7 +59,7 @@ def reduce_contacts(
     rows: NDArray[np.bool_] | None = None,
     relieved: NDArray[np.int64] | None = None,
 ) -> None:
-    """Reduce the thickness of contacts that an event compresses or relieves.
+    """Store in the state a reduced thickness of contacts that an event changes; raise EventError if one is too narrow.
 
     The reduced thickness is the one at which a contact stores the energy of the rest gap.
 
@@ -110,7 +110,7 @@ def _is_within_reach(force: Contact, x: Array, particles: NDArray[np.int64]) -> 
 
 
 def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
-    """Let reduced contacts regain their thickness during a frame of a duration [s] that starts at time t [s]."""
+    """Let reduced contacts regain thickness in a frame of a duration [s] from time t [s], by the plan's controls."""
     contact = plan.contact
     if contact is None or (reduced := state.memory.get(THICKNESS_KEY)) is None:
         return
@@ -120,7 +120,7 @@ def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
 
 
 def end_recovery(plan: Plan, state: State, t: float) -> None:
-    """Store the contact thickness that the recovery reached in a frame that ended at time t [s], in the state."""
+    """Store in the state the contact thickness that its recovery reached in the frame that ended at time t [s]."""
     if plan.contact is None or (thickness := plan.contact.force.controls.recovery.target) is None:
         return
     force = plan.contact.force
@@ -131,7 +131,7 @@ def end_recovery(plan: Plan, state: State, t: float) -> None:
 
 
 def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
-    """Return a summary of the contacts with a reduced thickness, or None if every contact has the full one."""
+    """Summarize the contacts of a state with a reduced thickness; return None if every contact has the full one."""
     reduced, contact = state.memory.get(THICKNESS_KEY), plan.contact
     if reduced is None or contact is None:
         return None
@@ -145,13 +145,13 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
 
 
 def pad_rows(plan: Plan, gripper: str) -> NDArray[np.bool_]:
-    """Return a mask of a gripper's pads among obstacles, pads and, last, the cloth itself."""
+    """Return a mask of a gripper's pads, in rows of contact: obstacles, then pads, then the cloth itself."""
     assert plan.contact is not None
     return np.array([*(name.rpartition(".")[0] == gripper for name in _body_names(plan.contact.force)), False])
 
 
 def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
-    """Return a mask of obstacles, pads and, last, the cloth itself whose shape or distance another scene changes."""
+    """Return a mask of contact's rows (obstacles, pads, the cloth) whose shape or distance another scene changes."""
     pads = 2 * len(scene.pinching)
     gripper, old_gripper = scene.gripper, before.gripper
     pads_changed = (gripper.pad_size, gripper.opening) != (old_gripper.pad_size, old_gripper.opening)
@@ -182,7 +182,7 @@ def particles_in_contact(plan: Plan, state: State, t: float, rows: Sequence[bool
 
 
 def _body_names(force: Contact) -> list[str]:
-    """Return the names of obstacles, followed by those of pads."""
+    """Return the names of the contact's rows except the last, the cloth: obstacles, then pads."""
     return [obstacle.name for obstacle in force.obstacles]
 
 

@@ -45,7 +45,7 @@ SavedBalance: TypeAlias = tuple[tuple[float, float], EnergyReport]
 
 
 class EnergyWatch:
-    """Sums of the energy balance over frames. Changes by events between two frames are left out.
+    """Sums of the energy balance over frames, `begin` to `end`. Changes by events between two frames are left out.
 
     Args:
         plan: the equations of motion of the simulation.
@@ -57,11 +57,11 @@ class EnergyWatch:
         self._sums = EnergyReport(total=0.0, work=0.0, wind=0.0, dissipated=0.0, residual=0.0, turned_over=0.0)
 
     def begin(self, state: State, t: float) -> None:
-        """Store the energies of a state before a frame that starts at time t [s]."""
+        """Store the energies of a state before a frame that starts at time t [s]; `end` follows."""
         self._before = self._energies(state, t)
 
     def end(self, state: State, t: float, accumulator: WorkAccumulator) -> EnergyReport:
-        """Add the frame that ended at time t [s] and return the sums."""
+        """Add to the sums the frame since `begin`, which ended at time t [s]; return the sums."""
         kinetic, potential = self._energies(state, t)
         dissipation, work = accumulator.dissipation, accumulator.work
         wind, recovered, sums = accumulator.wind_work, accumulator.recovery_work, self._sums
@@ -96,7 +96,7 @@ class EnergyWatch:
         return self._before, self._sums
 
     def restore(self, saved: SavedBalance) -> None:
-        """Continue from sums that `save` returned."""
+        """Continue from energies and sums that `save` returned."""
         self._before, self._sums = saved
 
     def _energies(self, state: State, t: float) -> tuple[float, float]:

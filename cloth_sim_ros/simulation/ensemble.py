@@ -117,7 +117,7 @@ class Ensemble:
         return np.stack([member.positions for member in self._members])
 
     def advance(self, events: Sequence[Event] = ()) -> EnsembleFrame:
-        """Apply events and advance all members by one frame, unless paused.
+        """Apply events and advance all members by one frame, unless paused; raise EnsembleError with no member changed.
 
         If one member fails, all stay as they were.
 
@@ -161,7 +161,7 @@ class Ensemble:
         return EnsembleSnapshot(members=tuple(member.snapshot() for member in self._members), varied=self._is_varied)
 
     def restore(self, snapshot: EnsembleSnapshot) -> None:
-        """Restore a snapshot of an ensemble of the same scene and distribution.
+        """Restore a snapshot of an ensemble of the same scene and distribution; raise ValueError for another.
 
         Raises:
             ValueError: for a snapshot of another scene, or another number of members.
@@ -174,7 +174,7 @@ class Ensemble:
         self._is_varied = snapshot.varied
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Stop the threads of the pool; `advance` must not follow."""
         self._pool.close()
 
     def __enter__(self) -> Self:

@@ -39,7 +39,7 @@ def environment() -> dict[str, str]:
 
 
 def differences(recorded: Mapping[str, str]) -> list[str]:
-    """Return the differences between this package and a session's recorder that can change bits; empty if none.
+    """Return texts on differences between this package and a session's recorder that can change bits; empty if none.
 
     Each difference reads like ``its code 193821 -> 2c46fa``. Entries that the session lacks are not compared.
     """
@@ -62,7 +62,7 @@ def recorder_with_other_arithmetic(recorded: Mapping[str, str]) -> str:
 
 @functools.cache
 def _source_digest() -> str:
-    """Return the digest of the code that determines a run's bits.
+    """Return the digest of the package's code that determines a run's bits; read once and cached.
 
     The version alone does not identify code between releases.
     """

@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.gripper_pads import pads_of
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies.bodies import change_obstacles
+from cloth_sim_ros.simulation.bodies.bodies import adapt_states
 from cloth_sim_ros.simulation.events import (
     Event,
     Grasp,
@@ -44,23 +44,23 @@ _GRIPPER_EVENTS = (Target, Grasp)
 
 
 class EventError(ValueError):
-    """Error: an event can't take effect; the message gives the reason."""
+    """Error: an event can't take effect; the message gives value, limit and remedy."""
 
 
 def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> list[Event]:
-    """Return the events of one frame in their order; refuse one that cannot take effect after the others."""
+    """Return the events of a frame in the order of their effect; raise EventError if one can't follow the others."""
     in_order = ordered(list(events))
     for event in in_order:
         after = check(event, scene, state, initial)
         if after.obstacles != scene.obstacles:
             state, initial = state.shallow_copy(), initial.shallow_copy()
-            change_obstacles(scene, after, (state, initial))
+            adapt_states(scene, after, (state, initial))
         scene = after
     return in_order
 
 
 def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
-    """Refuse an event that can't take effect, and return the scene in force after it.
+    """Raise EventError if an event can't take effect, else return the scene in force after it; change nothing.
 
     Args:
         event: the event.
@@ -101,7 +101,7 @@ def _check_name(kind: str, name: str, known: Sequence[str]) -> None:
 
 
 def _check_grasp(event: Grasp, scene: Scene, state: State) -> None:
-    """Refuse an opening, force or speed that the pads of a gripper cannot have, and pads beyond their stop."""
+    """Raise EventError for an opening, force or speed that a gripper's pads cannot have, or pads beyond their stop."""
     name, opening, widest = event.gripper, event.opening, scene.gripper.opening
     if not scene.pinches(name):
         if opening is not None or event.force or event.speed:
@@ -142,7 +142,7 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
 
 
 def _check_poses(event: MoveObstacles, scene: Scene) -> None:
-    """Refuse an event that moves several obstacles, if a name or a pose is invalid, or a name is repeated."""
+    """Raise EventError if one of the names or poses of several obstacles is invalid, or a name is repeated."""
     names, poses = event.obstacles, event.poses
     known = set(scene.obstacle_names)
     if not known.issuperset(names):
@@ -164,7 +164,7 @@ def _check_poses(event: MoveObstacles, scene: Scene) -> None:
 
 
 def _check_pads(event: Target, scene: Scene, state: State) -> None:
-    """Refuse a gripper's first target, which places it at once, if its pads would be in the cloth."""
+    """Raise EventError if the pads would be in the cloth at a gripper's first target, which places it at once."""
     if not scene.pinches(event.gripper):
         return
     is_placed = state.memory.get("gripper.placed")
@@ -194,7 +194,7 @@ def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene
 
 
 def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
-    """Refuse a contact thickness that would put pads beyond a stop. Pads stop at each other and at their opening."""
+    """Raise EventError if a new contact thickness would put pads beyond a stop, each other or their opening."""
     thickness = new_scene.contact.thickness
     if thickness == scene.contact.thickness:
         return
@@ -223,7 +223,7 @@ def _stop_clearance(half_opening: float, inner: float, outer: float, thickness: 
 
 
 def check_new_scene(scene: Scene, new_scene: Scene, state: State) -> None:
-    """Refuse a new scene if its obstacles would intersect or contain the cloth.
+    """Raise EventError if the obstacles of a new scene would intersect or contain the cloth.
 
     Checked are new obstacles, obstacles that contained anchored particles, and all obstacles if the thickness changes.
 
@@ -245,7 +245,7 @@ def check_new_scene(scene: Scene, new_scene: Scene, state: State) -> None:
 
 
 def _check_present_pads(scene: Scene, state: State) -> None:
-    """Refuse a scene in which the pads at their present poses would be too close to the cloth or intersect it."""
+    """Raise EventError if pads at their present poses would be too close to the cloth or intersect it."""
     if not scene.pinching or "gripper.pose" not in state.memory:
         return
     from cloth_sim_ros.simulation.bodies.grippers import Grippers
@@ -258,7 +258,7 @@ def _check_present_pads(scene: Scene, state: State) -> None:
 
 
 def _check_start(scene: Scene, names: Sequence[str], state: State, subject: str) -> None:
-    """Refuse a state that is inside named obstacles. Obstacles stand at the state's poses, or else at their start."""
+    """Raise EventError if a cloth is inside named obstacles, which stand at the state's poses, else at their start."""
     if not names:
         return
     from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
@@ -273,7 +273,7 @@ def _check_start(scene: Scene, names: Sequence[str], state: State, subject: str)
 
 
 def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: State, subject: str) -> None:
-    """Refuse obstacles at poses that intersect the cloth between particles or are too close to it.
+    """Raise EventError if obstacles at poses intersect the cloth or are too close to it, or it is to itself.
 
     A cloth that is too close to itself is refused as well.
     """

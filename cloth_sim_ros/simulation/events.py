@@ -60,7 +60,7 @@ class MoveObstacles:
 
 @attrs.frozen
 class Grasp:
-    """Command that closes or opens a gripper. The other fields are for pads."""
+    """Command that closes or opens a gripper; opening, force and speed are for grippers with pads."""
 
     gripper: str
     #: Any truth value, numpy's included.
@@ -74,31 +74,31 @@ class Grasp:
 
 @attrs.frozen
 class SetParameters:
-    """Change of scene parameters, values by full name such as `air.drag`."""
+    """Command to change live scene parameters, values by full name such as `air.drag`."""
 
     values: dict[str, Any]
 
 
 @attrs.frozen
 class Pause:
-    """Stop of simulated time (True), or its resumption (False)."""
+    """Command to stop simulated time (True), or to resume it (False)."""
 
     paused: bool
 
 
 @attrs.frozen
 class Step:
-    """Advance by one frame although the simulation is paused."""
+    """Command to advance by one frame although the simulation is paused; without a pause it has no effect."""
 
 
 @attrs.frozen
 class Reset:
-    """Return of cloth, grippers and obstacles to the initial state; the frame index continues."""
+    """Command to return cloth, grippers and obstacles to the initial state; the frame index continues."""
 
 
 @attrs.frozen
 class Relax:
-    """Factor on the scene's tolerance until the next such event; 1 restores the scene's own."""
+    """Command to multiply the scene's tolerance by a factor until the next such event; 1 restores the scene's own."""
 
     #: From 1 to `relaxation.MAX_FACTOR`.
     factor: float = attrs.field(converter=float)
@@ -129,7 +129,7 @@ _BEFORE_OTHERS = (Target, Move, MoveObstacles, Grasp)
 
 
 def ordered(events: list[Event]) -> list[Event]:
-    """Return events in the order in which a frame applies them; only a body's newest `Target` or `Move` is kept.
+    """Return events in the order in which a frame applies them, only a body's newest `Target` or `Move` retained.
 
     First the newest target of each gripper, then moves of several obstacles. The newest target of each obstacle is
     next, then grasps, then other events. Events of one kind keep their order of arrival.
@@ -151,7 +151,7 @@ def ordered(events: list[Event]) -> list[Event]:
 
 
 def to_dict(event: Event) -> dict[str, Any]:
-    """Return an event as a dict of plain values. Floats keep every bit through JSON."""
+    """Return an event as a dict of plain values, for `from_dict`; floats keep every bit through JSON."""
     kind = type(event)
     content: dict[str, Any] = {"kind": _NAMES[kind]}
     for name in _FIELDS[kind]:
@@ -162,7 +162,7 @@ def to_dict(event: Event) -> dict[str, Any]:
 
 
 def from_dict(data: dict[str, Any]) -> Event:
-    """Return the event that a dict of plain values describes, as `to_dict` returns it.
+    """Build an event from a dict of plain values, as from `to_dict`; raise ValueError if it does not describe one.
 
     Raises:
         ValueError: for an unknown kind or fields that do not fit it.

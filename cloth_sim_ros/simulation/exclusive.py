@@ -37,7 +37,7 @@ class ExclusiveAccess(Uncopyable):
 def exclusive(
     method: Callable[Concatenate[_Self, _Arguments], _Result],
 ) -> Callable[Concatenate[_Self, _Arguments], _Result]:
-    """Decorate a method that must not run together with another guarded method.
+    """Decorate a method: it waits for other threads' guarded calls, and raises RuntimeError in one of its own thread.
 
     Raises:
         RuntimeError: for a call within another one of the same thread, e.g. by a force or by a signal's handler.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @with_old_names(halted="stopped", loads="obstacle_wrenches", again="repeated")
 @attrs.frozen(kw_only=True, slots=False)
 class Frame:
-    """Result of one call of `Simulation.advance`."""
+    """Result of one call of `Simulation.advance`: time, events, grasps, wrenches, and the report of the steps."""
 
     #: Index of the frame that the state has reached.
     index: int
@@ -58,7 +58,7 @@ class Frame:
     obstacle_wrenches: Array
 
     def extras(self) -> dict[str, Any]:
-        """Return additional entries of the frame's record, plain JSON values; none in a frame that went as commanded.
+        """Return additional entries of the frame's record, plain JSON values; empty if it went as commanded.
 
         Returns:
             `poses`: `lagging` as lists by name; `halted`: names of stopped bodies. Either is absent if empty.

@@ -31,7 +31,7 @@ INTERPOLATIONS = MINIMUM_JERK, LINEAR = ("minimum_jerk", "linear")
 
 
 class ScriptError(ValueError):
-    """Error: a script can't be played; the message gives the reason."""
+    """Error: a script can't be read or played; the message gives the reason."""
 
 
 @attrs.frozen(kw_only=True)
@@ -56,7 +56,7 @@ class TimedGrasp:
 
 @attrs.frozen(kw_only=True)
 class GripperScript:
-    """Motion and grasps of one gripper over time."""
+    """Motion and grasps of one gripper over time, from rest to rest or straight between waypoints."""
 
     gripper: str
     #: Coordinate frame of the poses; empty means the cloth's.
@@ -70,7 +70,7 @@ class GripperScript:
 
     @classmethod
     def from_file(cls, path: str | Path) -> GripperScript:
-        """Read a script (YAML), or recorded poses (CSV, by its ending; see `pose_table`).
+        """Read a script (YAML), or recorded poses (CSV, by its ending); raise ScriptError that names file and fault.
 
         Raises:
             ScriptError: naming the file and the fault.
@@ -95,7 +95,7 @@ class GripperScript:
 
     @classmethod
     def from_table(cls, table: PoseTable) -> GripperScript:
-        """Return recorded poses as a script.
+        """Build a script from recorded poses; raise ScriptError for an invalid one.
 
         A gripper whose table does not say so is closed from the first pose on.
 
@@ -107,7 +107,7 @@ class GripperScript:
 
     @classmethod
     def from_dict(cls, content: Any) -> GripperScript:
-        """Build a script from its parsed YAML.
+        """Build a script from its parsed YAML; raise ScriptError for a missing, unknown or invalid entry.
 
         Raises:
             ScriptError: for a missing, unknown or invalid entry.
@@ -154,7 +154,7 @@ class GripperScript:
         closed: ArrayLike | None = None,
         frame_id: str = "",
     ) -> GripperScript:
-        """Build a script from poses over time, such as those of a recorded robot; straight between two poses.
+        """Build a script from poses over time, straight between two, such as a recorded robot's; raise ScriptError.
 
         Args:
             times: increasing times [s], shape (count,); the first one is the script's start.
@@ -203,7 +203,7 @@ class GripperScript:
         return max([self.waypoints[-1].time, *(grasp.time for grasp in self.grasps)])
 
     def rest_end(self, time: float) -> float:
-        """Return the time [s] until which the gripper keeps its pose of `time` [s]; `time` itself while it moves."""
+        """Return the time [s] until which the pose of `time` [s] stays, inf at the end; `time` itself in a motion."""
         waypoints, k = self.waypoints, self._waypoint_index(time)
         if k < 0:
             return time
@@ -215,7 +215,7 @@ class GripperScript:
         return math.inf
 
     def pose(self, time: float) -> tuple[Vector, Vector]:
-        """Return position [m] and orientation at a time [s]; the first and the last one outside the waypoints' times.
+        """Return (position [m], quaternion) at a time [s]; the first and the last one outside the waypoints' times.
 
         With minimum jerk, the gripper rests in each waypoint.
         """

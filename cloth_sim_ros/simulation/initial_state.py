@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 
 def stop_particles(state: State, particles: NDArray[np.int64]) -> None:
-    """Set the velocity of particles to zero."""
+    """Set the velocity of particles to zero in a state, in a new array."""
     if state.v[:, particles].any():
         state.v = state.v.copy()
         state.v[:, particles] = 0.0
 
 
 def stop_anchored(scene: Scene, state: State) -> None:
-    """Set the velocity of a scene's anchored particles to zero, because a state may come from other anchors.
+    """Set the velocity of a scene's anchored particles to zero in a state, unless the sheet is raw springs.
 
     Without a force an anchored particle would keep its velocity. Anchors of raw springs keep the velocity of their
     file.
@@ -42,7 +42,7 @@ def stop_anchored(scene: Scene, state: State) -> None:
 
 
 def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
-    """Return the state that a reset restores and a copy of the state to start from. Without `state` both are equal.
+    """Return the state that a reset restores, and a copy of it or of `state` to start from; raise ValueError if unfit.
 
     Raises:
         ValueError: for a state of another cloth.
@@ -66,7 +66,7 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
 def apply_grasp(
     event: Grasp, state: State, scene: Scene, model: Model, grippers: Grippers, pinching: ParallelGrippers | None
 ) -> GraspResult:
-    """Close or open a gripper by an event, wake the cloth if its grasped particles change, and return the result."""
+    """Close or open a gripper by an event, wake the cloth in the state if its grip changes; return the result."""
     index = grippers.names.index(event.gripper)
     grasped_before = grippers.grasped_particles(index).size
     is_pinching = pinching is not None and event.gripper in pinching.names
@@ -87,7 +87,7 @@ def apply_grasp(
 
 
 def _move_pads(event: Grasp, grippers: Grippers, *, again: bool) -> GraspResult:
-    """Start to close or open pads; only closing, or opening to a given distance, has a result that is pending."""
+    """Start to close or open pads; return the result, pending for closing, or opening to a given distance."""
     if event.closed:
         return grippers.pinch(event.gripper, again=again)
     result = grippers.open(event.gripper)

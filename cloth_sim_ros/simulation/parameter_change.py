@@ -23,7 +23,7 @@ _MAX_DRAG_CHANGE, _MAX_DAMPING_CHANGE = 0.04, 0.01
 
 
 def is_small_change(names: Collection[str], before: Scene, scene: Scene, v: Array) -> bool:
-    """Return True if a change of parameters adds so little acceleration that the motion stays smooth.
+    """Return True if changed parameters add so little acceleration that error estimates stay valid.
 
     Args:
         names: names of the changed parameters.

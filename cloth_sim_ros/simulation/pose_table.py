@@ -44,7 +44,7 @@ class PoseTable:
 
 
 def read(path: str | Path) -> PoseTable:
-    """Read the poses of a gripper over time from a CSV file.
+    """Read the poses of a gripper over time from a CSV file; raise PoseTableError that names file, line and fault.
 
     The first line names the columns. They are `time` [s], or `sec` and `nanosec`, and the position `x`, `y`, `z` [m].
     A unit quaternion `qx`, `qy`, `qz`, `qw`, `closed` (0 or 1) and `frame_id` are optional. A table without that line
@@ -114,7 +114,7 @@ def _parse(lines: Sequence[str]) -> PoseTable:
 
 
 def check_separator(lines: Iterable[str]) -> None:
-    """Refuse a table whose columns are separated by something other than commas.
+    """Raise PoseTableError if a table's columns are separated by semicolons or tabs instead of commas.
 
     Raises:
         PoseTableError: naming the separator and the remedy.

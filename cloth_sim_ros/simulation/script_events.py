@@ -15,7 +15,7 @@ from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 
 class ScriptEvents:
-    """Events of scripts that start together at time 0.
+    """Events, frame by frame, of scripts that start together at time 0.
 
     A frame's target is the script's pose at the frame's end. A grasp takes effect in the first frame that starts at its
     time or later.
@@ -32,7 +32,7 @@ class ScriptEvents:
         self._last_targets: list[Event | None] = [None] * len(scripts)
 
     def at(self, frame: int) -> list[Event]:
-        """Return the events of the frame that ends with index `frame` + 1. Call it for the frames in order.
+        """Return the events of the frame that starts at index `frame`, each once; call it for the frames in order.
 
         A target equal to the last one is left out, so that a cloth can fall asleep.
         """
@@ -51,7 +51,7 @@ class ScriptEvents:
 def pose_scripts(
     names: Sequence[str], times: ArrayLike, poses: ArrayLike | Mapping[str, ArrayLike], closed: Any
 ) -> list[GripperScript]:
-    """Return a script for each gripper from arrays of times and poses, the arguments of `Simulation.play`.
+    """Build a script for each gripper from arrays, the arguments of `Simulation.play`; raise ScriptError.
 
     Args:
         names: names of the scene's grippers.
@@ -76,7 +76,7 @@ def pose_scripts(
 
 
 def frame_events(scripts: Sequence[GripperScript], period: float) -> Iterator[list[Event]]:
-    """Yield the events of each frame in which scripts move their grippers.
+    """Yield the events of each frame in which scripts move their grippers, from their first to their last poses.
 
     The first frame moves the grippers to their first poses. The scripts begin at its end.
     """

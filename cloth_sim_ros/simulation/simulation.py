@@ -56,7 +56,7 @@ _CONTACT_EVENTS = (Grasp, SetParameters, Reset)
 
 @with_old_names(held="grasped_count", rates="spectral_bounds", rests="is_in_equilibrium", sleeps_on="will_stay_asleep")
 class Simulation(ExclusiveAccess):
-    """A cloth that moves frame by frame.
+    """Simulation of one cloth, which `advance` moves frame by frame.
 
     Several threads may call its methods; the calls run one at a time. `state` is the live state, which changes during a
     frame. Other threads read `positions`, or take a `snapshot`.
@@ -128,7 +128,7 @@ class Simulation(ExclusiveAccess):
 
     @between_frames
     def grasped_count(self, index: int) -> int:
-        """Return the number of particles that a gripper grasps, or has between its pads."""
+        """Return the number of particles that the gripper of an index grasps, or has between its pads."""
         name = self.grippers.names[index]
         if self.pinching is not None and name in self.pinching.names:
             return self.pinching.grasped_count(self.plan, self.time, name)
@@ -167,12 +167,12 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def spectral_bounds(self, scene: Scene) -> tuple[float, float]:
-        """Return upper bounds of squared angular frequency [1/s^2] and damping rate [1/s] for another scene."""
+        """Return upper bounds of squared angular frequency [1/s^2] and damping rate [1/s] with another scene."""
         return self._plan_cache.spectral_bounds(scene, self.state.x)
 
     @between_frames
     def check(self, event: Event) -> None:
-        """Refuse an event that can't take effect.
+        """Raise EventError if an event can't take effect at the next frame; change nothing.
 
         Raises:
             EventError: naming the value, the limit and the remedy.
@@ -181,7 +181,7 @@ class Simulation(ExclusiveAccess):
 
     @between_frames
     def check_scene(self, scene: Scene) -> None:
-        """Refuse a future scene whose new obstacles would intersect or contain the present cloth.
+        """Raise EventError if the new obstacles of a future scene would intersect or contain the present cloth.
 
         Raises:
             EventError: naming the obstacle and the location.
@@ -190,9 +190,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def advance(self, events: Sequence[Event] = ()) -> Frame:
-        """Apply events at the frame's boundary, then advance time by one frame, unless paused.
-
-        If the frame fails, the state stays as it was.
+        """Apply events at the frame's boundary, then advance by one frame unless paused; on an error nothing changes.
 
         Raises:
             EventError: for an event that can't take effect.
@@ -213,7 +211,7 @@ class Simulation(ExclusiveAccess):
     def play(
         self, times: ArrayLike, poses: ArrayLike | Mapping[str, ArrayLike], *, closed: Any = None
     ) -> Iterator[Frame]:
-        """Move grippers along recorded poses, and yield each frame.
+        """Check recorded poses; return an iterator that moves grippers along them, a frame at each step.
 
         The first frame moves the grippers to their first poses. The k-th frame after it ends k periods after
         `times[0]`, with each gripper at its pose of that time, straight between two poses. A gripper that closes or
@@ -240,7 +238,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def snapshot(self) -> Snapshot:
-        """Return the full content, in microseconds. After a restore the same events give the same bits."""
+        """Return the full content, for `restore`, in microseconds; the same events then give the same bits."""
         return self._snapshot()
 
     def _snapshot(self) -> Snapshot:
@@ -257,7 +255,7 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def restore(self, snapshot: Snapshot) -> None:
-        """Restore a snapshot of a simulation of the same scene; live parameters become the snapshot's.
+        """Restore a snapshot of the same scene, its live parameters included; raise ValueError for another scene.
 
         Raises:
             ValueError: for a snapshot of another scene; the message names a parameter that differs.
@@ -315,7 +313,7 @@ class Simulation(ExclusiveAccess):
             grasps=tuple(grasps),
             pinches=tuple(pinches),
             stopped=stopped,
-            lagging=self.grippers.lagging(stopped) if is_lagging else (),
+            lagging=self.grippers.lagging_poses(stopped) if is_lagging else (),
             recovery=recovery,
             moved=is_moved,
             integrator=done.integrator if done else self._integrator.name,
@@ -329,7 +327,7 @@ class Simulation(ExclusiveAccess):
         return frame
 
     def _grasped_particles(self, gripper: str) -> NDArray[np.int64]:
-        """Return the indices of the particles that a gripper grasps, or that touch its pads."""
+        """Return the particles that a gripper grasps, or that touch its pads; place bodies at present poses for it."""
         if self.plan.contact is not None:
             # Poses come from the state: a path's end rounds differently, and a run from a saved state has no path.
             self._place_bodies()
@@ -347,7 +345,7 @@ class Simulation(ExclusiveAccess):
         # A motion that was already beyond the fixed step is not caused by the parameters.
         is_step_stable = affects_no_motion or self._is_step_stable()
         self._initial = self._initial.shallow_copy()  # snapshots share the old one
-        bodies.change_obstacles(before, scene, (self.state, self._initial))
+        bodies.adapt_states(before, scene, (self.state, self._initial))
         self.obstacles = bodies.build_obstacles(scene, self.state)
         self._apply_scene(scene)
         if affects_no_motion:
@@ -412,7 +410,7 @@ class Simulation(ExclusiveAccess):
         return self.grippers.is_at_rest and (self.obstacles is None or self.obstacles.is_at_rest)
 
     def _plan_paths(self, t: float) -> None:
-        """Plan the paths of grippers and obstacles over the frame that starts at time t [s]."""
+        """Move bodies over the frame from time t [s] on, and set the plan's controls and contact recovery for it."""
         self.plan.controls, change = bodies.move_bodies(
             self.plan, self._scene, self.obstacles, self.pinching, self.grippers, self.joints, t
         )
@@ -421,7 +419,7 @@ class Simulation(ExclusiveAccess):
             reset_step_control(self.state)
 
     def _may_stay_asleep(self, t: float) -> bool:
-        """Return True if a sleeping cloth may stay asleep; its wrenches are then accumulated."""
+        """Return True if a sleeping cloth stays asleep, with its wrenches accumulated; else wake it."""
         # A loaded state may have fallen asleep under other parameters, so the criterion is checked once. A state that
         # fell asleep under these parameters always passes, because criterion and positions are the same.
         if not self._is_rest_verified and not self._sleep.is_in_equilibrium(self.state, t):

@@ -42,7 +42,7 @@ _MAX_FRAMES = 2.0**53
 
 
 class SleepRule:
-    """Criterion and duration of sleep for one simulation; it keeps its observations in the state.
+    """Criterion and duration of sleep for one simulation; observations are in the state's memory.
 
     Args:
         plan: equations of motion.
@@ -57,7 +57,7 @@ class SleepRule:
         self._watch_frames = max(2, math.ceil(CONSTANTS.sleep_quiet_time / period))
 
     def update(self, state: State, t: float) -> bool:
-        """Observe a frame that moved and ended at time t [s]; put the sheet to sleep if it was at rest long enough.
+        """Observe a frame that moved and ended at time t [s]; if it was at rest for long, begin sleep and return True.
 
         Returns:
             True if the sheet fell asleep.
@@ -143,7 +143,7 @@ class SleepRule:
         return bool(are_all_below(acceleration, max_acceleration))
 
     def may_stay_asleep(self, state: State) -> bool:
-        """Return True if a sleeping sheet may stay asleep. Otherwise wake it.
+        """Return True if a sleeping sheet may stay asleep; otherwise wake it and return False.
 
         It wakes if its time is up, or if a body that it hangs on moves.
         """
@@ -156,7 +156,7 @@ class SleepRule:
         return True
 
     def sleeping_advance(self, integrator: str) -> Advance:
-        """Return the summary of a frame that a sleeping sheet does not compute."""
+        """Return the report (`Advance`, no steps) of a frame that a sleeping sheet does not compute."""
         error = self._max_drift * self._period / CONSTANTS.sleep_quiet_time
         reason = f"asleep: at rest within the tolerance {self._tolerance:g} m until something touches the cloth"
         return Advance(0, 0, 0.0, math.inf, integrator=integrator, limited_by="rest", error=error, reason=reason)
@@ -173,17 +173,17 @@ class SleepRule:
 
 
 def is_asleep(state: State) -> bool:
-    """Return True if the sheet of a state sleeps."""
+    """Return True if the sheet of a state sleeps: its frames are not computed."""
     return VELOCITY in state.memory
 
 
 def sleeps_until(state: State) -> float:
-    """Return the index of the frame at which a sleeping sheet wakes by itself."""
+    """Return the index of the frame at which a sleeping sheet wakes by itself; not for others."""
     return Memory.load(state).wake_frame
 
 
 def wake(state: State) -> None:
-    """Wake the sheet, if it sleeps, and restart the observation of rest."""
+    """Wake a state's sheet, if it sleeps, with its velocities and impulse, and restart the observation of rest."""
     if is_asleep(state):
         _resume_motion(state)
         reset_step_control(state)
@@ -198,7 +198,7 @@ def _end_watch(state: State) -> None:
 
 
 def _resume_motion(state: State) -> None:
-    """Restore the velocities that a sleeping sheet had, plus the impulse since."""
+    """End sleep in a state: restore the velocities that the sheet had, plus the impulse since."""
     velocities, impulse = state.memory.pop(VELOCITY), state.memory.pop(IMPULSE, None)
     remaining_frames = max(0.0, Memory.load(state).wake_frame - state.frame)
     state.v = velocities.copy() if impulse is None else velocities - remaining_frames * impulse

@@ -51,7 +51,7 @@ class Snapshot:
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time that the state has reached [s]."""
         return self.state.frame * self.scene.period
 
     @property
@@ -60,7 +60,7 @@ class Snapshot:
         return self.state.positions
 
     def check_fits(self, scene: Scene) -> None:
-        """Refuse a restore if the scene in force differs in a parameter that is not live.
+        """Raise ValueError if a scene differs from the snapshot's in a parameter that is not live, or a file.
 
         Raises:
             ValueError: naming a parameter that differs.

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.plan import thread_limit
 
 
 def resolve_worker_count(count: int | None, name: str = "threads") -> int:
-    """Return a checked number of threads or processes; by default, one per core that this process may use.
+    """Return a checked number of threads or processes, by default one per available core; raise ValueError below 1.
 
     Args:
         count: the number; None for the default.
@@ -34,7 +34,7 @@ def resolve_worker_count(count: int | None, name: str = "threads") -> int:
 
 
 class ThreadPool:
-    """Thread pool in which the calling thread is worker 0.
+    """Pool of threads for `run`, in which the calling thread is worker 0; `close` ends it.
 
     Args:
         threads: number of threads; None takes one per core that this process may use.
@@ -49,7 +49,7 @@ class ThreadPool:
         self._executor = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="cloth")
 
     def run(self, count: int, job: Callable[[int, int], None]) -> None:
-        """Call ``job(worker, i)`` for each i in range(count).
+        """Call ``job(worker, i)`` for each i in range(count), in parallel; wait for all, then raise the first error.
 
         A free worker takes the next index, and each worker executes one call at a time. All indices are processed, even
         if calls raise.
@@ -80,7 +80,7 @@ class ThreadPool:
             raise errors[min(errors)]
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Wait for the threads and stop them; the pool can't run jobs in parallel afterwards."""
         self._executor.shutdown()
 
     def __enter__(self) -> Self:

@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY, THICKNESS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies.bodies import carry_over_anchors, change_obstacles
+from cloth_sim_ros.simulation.bodies.bodies import adapt_states, carry_over_anchors
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.reference_integrator import MotionState
@@ -71,7 +71,7 @@ class FrameCapture:
         self._new, self._reset = frozenset(), False
         advance, scene = frame.advance, simulation.scene
         start = state_before.shallow_copy()
-        change_obstacles(scene_before, scene, [start])
+        adapt_states(scene_before, scene, [start])
         return SimulatedFrame(
             index=frame.index,
             t=state_before.frame * scene.period,

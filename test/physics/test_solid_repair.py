@@ -71,7 +71,7 @@ def obj(points: np.ndarray, triangles: np.ndarray) -> bytes:
 
 
 def obstacle(data: bytes, name: str) -> Obstacle:
-    mesh = mesh_file.solid(data, name=name)
+    mesh = mesh_file.parse_solid(data, name=name)
     return Obstacle(name="o", shape="mesh", vertices=mesh.vertices, triangles=mesh.triangles)
 
 
@@ -90,7 +90,7 @@ def test_solid_with_junctions_equals_the_one_without(kind: str, corners: int, fi
 
 
 def test_notes_tell_what_was_joined() -> None:
-    mesh = mesh_file.solid(obj(*with_junctions("box", 3, 2, filled=True)), name="box.obj")
+    mesh = mesh_file.parse_solid(obj(*with_junctions("box", 3, 2, filled=True)), name="box.obj")
     assert mesh.notes == (
         "6 triangles without area joined to the neighbours",
         "3 edges split at vertices that lie on it",
@@ -102,7 +102,7 @@ def test_flat_triangles_back_to_back_are_left_out() -> None:
     a, c = triangles[0, :2]
     points = np.concatenate((points, [0.5 * (points[a] + points[c])]))
     flap = [[a, c, len(points) - 1], [c, a, len(points) - 1]]
-    mesh = mesh_file.solid(obj(points, np.concatenate((triangles, flap))), name="box.obj")
+    mesh = mesh_file.parse_solid(obj(points, np.concatenate((triangles, flap))), name="box.obj")
     assert len(mesh.triangles) == len(triangles)
     assert is_closed(mesh.vertices, mesh.triangles)
 
@@ -117,7 +117,7 @@ def test_needles_are_closed_by_joining_their_short_side(distance: float) -> None
     triangles = triangles.copy()
     triangles[0] = [new, b, c]
     needles = [[a, b, new], [a, new, c]]
-    mesh = mesh_file.solid(obj(points, np.concatenate((triangles, needles))), name="box.obj")
+    mesh = mesh_file.parse_solid(obj(points, np.concatenate((triangles, needles))), name="box.obj")
     assert len(mesh.vertices) == 8
     assert is_closed(mesh.vertices, mesh.triangles)
 
@@ -131,7 +131,7 @@ def test_stl_off_by_its_last_digit_is_a_solid(shift: float) -> None:
         up > 0, np.nextafter(corners, np.float32(9)), np.where(up < 0, np.nextafter(corners, np.float32(-9)), corners)
     )
     data = stl(corners.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
-    mesh = mesh_file.solid(data, name="cylinder.stl")
+    mesh = mesh_file.parse_solid(data, name="cylinder.stl")
     assert len(mesh.vertices) == len(points)
     assert is_closed(mesh.vertices, mesh.triangles)
     assert "to another merged with it" in mesh.notes[0]
@@ -147,7 +147,7 @@ def test_closed_mesh_stays_as_it_is() -> None:
         points = np.concatenate((points, middle + 0.01 * (points[[a, b, c]] - middle)))
         ring = [[a, b, q], [a, q, p], [b, c, r], [b, r, q], [c, a, p], [c, p, r]]
         triangles = np.concatenate(([[p, q, r]], triangles[1:], ring))
-    mesh = mesh_file.solid(obj(points, triangles), name="box.obj")
+    mesh = mesh_file.parse_solid(obj(points, triangles), name="box.obj")
     assert mesh.notes == ()
     assert len(mesh.vertices) == len(points)
 
@@ -169,5 +169,5 @@ def test_rounded_junctions_off_the_origin_are_closed() -> None:
         edges, corners, filled = int(random.integers(1, 5)), int(random.integers(1, 12)), bool(random.integers(2))
         points, triangles = with_junctions(kind, edges, corners, filled=filled)
         shift, scale = random.uniform(-5.0, 5.0, 3), 10.0 ** random.uniform(-3.0, 3.0)
-        mesh = mesh_file.solid(stl((points + shift) * scale, triangles), name="solid.stl")
+        mesh = mesh_file.parse_solid(stl((points + shift) * scale, triangles), name="solid.stl")
         assert is_closed(mesh.vertices, mesh.triangles), (kind, edges, corners, filled, shift, scale)

@@ -68,7 +68,7 @@ def check(path: str, *, node: str) -> int:
     """
     values: dict[str, Any] = {}
     try:
-        text = parameter_file.text_of(path)
+        text = parameter_file.read_text(path)
         values = parameter_file.parse(text, node=node, source=path)
         node_refusals.refuse_values(values)
         known = {entry.name for entry in Scene.declared_for(values)}

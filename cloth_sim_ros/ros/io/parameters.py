@@ -29,7 +29,7 @@ from cloth_sim_ros.scene.parameters.declare import Faults, Parameter, ParameterE
 from cloth_sim_ros.scene.parameters.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.sheet_checks import without_surface
+from cloth_sim_ros.scene.sheet_checks import raw_springs_defaults
 
 _SCALARS = {"bool": "BOOL", "int": "INTEGER", "double": "DOUBLE", "string": "STRING"}
 _TYPES = {kind: RosParameter.Type[name] for kind, name in _SCALARS.items()}
@@ -178,7 +178,7 @@ def declare(node: Node, *, extend: Extension | None = None) -> Scene:
         values, files = extend(values, files)
     scene = Scene.from_parameters(values, files=files)
     known = Scene.declared_for(values)
-    defaults = {**fabric_parameters(values, scene.files)[0], **without_surface(values)}
+    defaults = {**fabric_parameters(values, scene.files)[0], **raw_springs_defaults(values)}
     for entry in known:
         declare_entry(node, entry, {entry.name: entry.default, **defaults, **values}[entry.name])
     _warn_of_unknown(node, scene, [entry.name for entry in known])

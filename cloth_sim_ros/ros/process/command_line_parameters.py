@@ -53,7 +53,7 @@ def unused_files(arguments: Sequence[str], *, node: str) -> Iterator[str]:
         if option != "--params-file" or not Path(path).is_file():
             continue
         try:
-            owners = parameter_file.other_nodes(parameter_file.text_of(path), node=node, source=path)
+            owners = parameter_file.other_nodes(parameter_file.read_text(path), node=node, source=path)
         except ParameterError:
             # ROS has accepted the file: the two readers differ in what they refuse.
             continue

@@ -32,7 +32,7 @@ KINDS: dict[str, type] = {"bool": bool, "int": int, "double": float, "string": s
 
 
 class ParameterError(ValueError):
-    """Error: a parameter is unknown, of the wrong type, out of range, or read-only."""
+    """Error: a parameter is unknown, of the wrong type, out of range, read-only, or unfit for others."""
 
     @property
     def sentences(self) -> list[str]:
@@ -41,7 +41,7 @@ class ParameterError(ValueError):
 
 
 class ParameterErrors(ParameterError):
-    """Error of several faults of parameters, one per line of its message."""
+    """Error of several faults of parameters, one per line of its message, each in `sentences`."""
 
     def __init__(self, sentences: Sequence[str]) -> None:
         super().__init__("\n".join(sentences))
@@ -54,7 +54,7 @@ class ParameterErrors(ParameterError):
 
 
 class Faults:
-    """Collection of messages of several faults of parameters, so that one error names all of them."""
+    """Collection of several faults' messages, true if not empty, so that one error names all of them."""
 
     def __init__(self) -> None:
         self._sentences: list[str] = []
@@ -64,7 +64,7 @@ class Faults:
 
     @property
     def sentences(self) -> list[str]:
-        """Messages of the collected faults."""
+        """Copy of the list of messages of the collected faults."""
         return list(self._sentences)
 
     def add(self, sentences: Iterable[str]) -> None:
@@ -138,7 +138,7 @@ class Parameter:
         return self.kind.endswith("[]")
 
     def check(self, value: Any) -> Any:
-        """Check a value's type, length, range and choice; return it in its own type, arrays as tuples.
+        """Return a value of the right type, length, range and choice as a Python value or tuple, else raise.
 
         Raises:
             ParameterError: for a wrong type, length, range or choice.
@@ -190,7 +190,7 @@ def _python_scalar(entry: Any) -> Any:
 
 
 def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:
-    """Declare a field of a configuration class as a parameter; options are those of `Parameter`."""
+    """Return an attrs field that declares a parameter of a configuration class; options are those of `Parameter`."""
     if kind.endswith("[]"):
         default = tuple(default)
     declaration = Parameter(kind=kind, default=default, description=description, **options)
@@ -198,17 +198,17 @@ def parameter(kind: str, default: Any, description: str, **options: Any) -> Any:
 
 
 def _leaf(field: attrs.Attribute[Any]) -> str:
-    """Return the last part of a parameter's name: the field's name without a trailing _."""
+    """Return the last part of a parameter's name: the attrs field's name without a trailing _."""
     return field.name.removesuffix("_")
 
 
 def section(cls: type) -> Any:
-    """Declare a field that holds a nested configuration class; its parameters' names begin with the field's."""
+    """Return an attrs field for a nested configuration class; its parameters' names begin with the field's."""
     return attrs.field(factory=cls, metadata={_SECTION: cls})
 
 
 def declarations(cls: type, prefix: str = "") -> tuple[Parameter, ...]:
-    """Return the declarations of all parameters of a configuration class, their names behind a prefix."""
+    """Return the declarations of all parameters of a configuration class, each name with the prefix before it."""
     return _declarations(cls, prefix)
 
 
@@ -224,7 +224,7 @@ def _declarations(cls: Any, prefix: str) -> tuple[Parameter, ...]:
 
 
 def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the parameter values of a configuration object by full name, arrays as tuples."""
+    """Return the parameter values of a configuration object by full name, those of sections included."""
     values: dict[str, Any] = {}
     for field in attrs.fields(type(instance)):
         value = getattr(instance, field.name)
@@ -238,7 +238,7 @@ def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
 def check(
     entries: Iterable[Parameter], values: dict[str, Any], *, hint: Callable[[str], str] = lambda _: ""
 ) -> dict[str, Any]:
-    """Check values by full name against declared parameters; return them in their own types, arrays as tuples.
+    """Return values by full name, checked and in their own types, arrays as tuples; raise ParameterError on all faults.
 
     Args:
         entries: the declared parameters.
@@ -261,7 +261,7 @@ def check(
 
 
 def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **extra_fields: Any) -> Any:
-    """Build an object of a configuration class from checked values by full name. Missing names take their default.
+    """Build an object of a configuration class from checked values by full name; missing ones take defaults.
 
     `prefix` precedes the names of its fields. `extra_fields` are fields of the class that are no parameters.
     """
@@ -280,7 +280,7 @@ def _build(cls: Any, values: dict[str, Any], prefix: str, extra_fields: dict[str
 
 
 def read_only_message(name: str) -> str:
-    """Return the message that refuses a change of a parameter that is set at start."""
+    """Return the error message for a change of the parameter `name`, which is set at start only."""
     return f"{name} can't change while the cloth runs; set it at start"
 
 
@@ -292,6 +292,6 @@ def _suggestion(name: str, known: dict[str, Parameter]) -> str:
 
 
 def _format_value(value: Any) -> str:
-    """Return a value for a message, shortened if it is long."""
+    """Return a value's repr for a message, cut after 200 characters."""
     text = repr(value)
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}... ({len(text)} characters)"

@@ -16,7 +16,7 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 
 def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> dict[str, Any]:
-    """Return the parameters that a file sets for a node, by full name, as ROS reads it.
+    """Read a ROS parameter file; return the values that apply to a node, by full name, or raise ParameterError.
 
     Sections with the node's full name or a matching wildcard apply. Sections of one name are merged, in the place of
     the first. If several sections set a parameter, the last one wins, even over the node's own.
@@ -30,11 +30,11 @@ def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> 
         ParameterError: for a file that can't be read, is no YAML or no parameter file, or sets parameters only for
         nodes of this name in other namespaces.
     """
-    return parse(text_of(path), node=node, source=str(path), strict=strict)
+    return parse(read_text(path), node=node, source=str(path), strict=strict)
 
 
-def text_of(path: str | Path) -> str:
-    """Read the text of a parameter file; call it once, because the file may be a pipe.
+def read_text(path: str | Path) -> str:
+    """Read the text of a parameter file, for `parse`; raise ParameterError if it can't be read or is too large.
 
     Raises:
         ParameterError: for a file that can't be read, or is too large.
@@ -49,7 +49,7 @@ def text_of(path: str | Path) -> str:
 
 
 def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: bool = False) -> dict[str, Any]:
-    """Return the parameters that a parameter file's text sets for a node; arguments as those of `read`."""
+    """Parse a parameter file's text; return the values that apply to a node; arguments and errors as of `read`."""
     sections = _sections(text, source)
     full = f"/{node.strip('/') or 'cloth_sim'}"
     matching = [content for name, content in sections.items() if ros_sections.matches(name, full)]
@@ -61,7 +61,7 @@ def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: b
 
 
 def other_nodes(text: str, *, node: str, source: str) -> str:
-    """Return the nodes for which a text sets parameters, and a remedy, if it sets none for `node`; else empty.
+    """Return the nodes whose parameters a text sets instead of `node`'s, and a remedy, as a clause; else empty.
 
     Args:
         text: text of a parameter file.
@@ -94,7 +94,7 @@ def _sections(text: str, source: str) -> dict[str, dict[str, Any]]:
 
 
 def _refuse_other_namespaces(sections: list[str], node: str, source: str) -> None:
-    """Refuse a file that sets nothing for a node, but something for nodes of its name in other namespaces."""
+    """Raise ParameterError if sections, none of which applies to a node, name its namesakes in other namespaces."""
     base_name = node.rpartition("/")[2]
     absolute_names = [f"/{name.removeprefix('/')}" for name in sections if "*" not in name]
     full_names = [name for name in dict.fromkeys(absolute_names) if name.rpartition("/")[2] == base_name]
@@ -106,7 +106,7 @@ def _refuse_other_namespaces(sections: list[str], node: str, source: str) -> Non
 
 
 def dump(values: dict[str, Any], *, node: str = "/**") -> str:
-    """Return the text of a parameter file that sets the given parameters; floats keep every bit."""
+    """Return the text of a ROS parameter file that sets the given parameters for a node; floats keep every bit."""
     tree: dict[str, Any] = {}
     for name, value in values.items():
         branch = tree

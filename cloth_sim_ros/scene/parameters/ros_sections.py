@@ -37,7 +37,7 @@ def matches(section: str, node: str) -> bool:
 
 
 def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
-    """Parse a ROS parameter file; return the parameters of each section by full name, in the order of sections.
+    """Parse the text of a ROS parameter file; return the parameters by full name of each section, or raise.
 
     An empty list, which sets nothing in ROS, becomes [] if nothing else sets the name.
 
@@ -77,7 +77,7 @@ class _Section:
 
 
 class _SectionReader:
-    """Reader of a parameter file's sections from the events of a YAML parser; it refuses what ROS refuses."""
+    """Reader, for one use, of a parameter file's sections from a YAML parser's events; it raises where ROS does."""
 
     def __init__(self, text: str, source: str) -> None:
         import yaml
@@ -89,7 +89,7 @@ class _SectionReader:
         self._sections: dict[str, _Section] = {}
 
     def sections(self) -> dict[str, dict[str, Any]]:
-        """Return the parameters of each section by full name."""
+        """Parse the whole text; return the parameters of each section by full name, or raise. Call it once."""
         for _ in self._until("StreamEnd"):
             if self._is("DocumentStart"):
                 self._next()
@@ -129,7 +129,7 @@ class _SectionReader:
         return key
 
     def _names(self, above: tuple[str, ...]) -> None:
-        """Read a mapping from names of namespaces and nodes to sections."""
+        """Parse a mapping from names of namespaces and nodes to sections, and store what they set."""
         ended = False
         for _ in self._until("MappingEnd"):
             key = self._key()
@@ -166,7 +166,7 @@ class _SectionReader:
         self._parameters(section, ())
 
     def _parameters(self, section: _Section, above: tuple[str, ...]) -> None:
-        """Read a mapping of parameters and groups of parameters."""
+        """Parse a mapping of parameters and groups of parameters, and store it in a section."""
         empty = True
         for _ in self._until("MappingEnd"):
             empty = False

@@ -41,7 +41,7 @@ _RESOLVED = {
 
 
 def load(text: str) -> Any:
-    """Parse a YAML text to plain Python values, with scalars as ROS reads them.
+    """Parse a YAML text to plain Python values, with scalars as ROS reads them, or raise YAMLError.
 
     Raises:
         yaml.YAMLError: if it is no YAML, repeats a key, has too many values, or is nested too deeply.
@@ -57,7 +57,7 @@ def load(text: str) -> Any:
 
 
 def parser() -> Any:
-    """Return PyYAML's loader class for streams of events: the C one if it is installed.
+    """Return PyYAML's safe loader class for a stream of events, the one in C if it is installed.
 
     The events need neither memory nor recursion; their consumers may.
     """
@@ -67,7 +67,7 @@ def parser() -> Any:
 
 
 def check_size(text: str, *, max_nodes: int = MAX_NODES) -> None:
-    """Refuse a YAML text that is nested too deeply, or has too many values with its aliases written out.
+    """Raise YAMLError for a YAML text that is nested too deeply, or has too many values with its aliases written out.
 
     An alias of a few bytes stands for content that may hold aliases in turn.
 

@@ -178,7 +178,7 @@ def _has_directions(scene: Scene) -> bool:
 
 
 def ineffective_parameters(scene: Scene, set_names: Iterable[str]) -> list[str]:
-    """Return a sentence for each set parameter that differs from its default and has no effect in a scene.
+    """Return a sentence for each set parameter (full name) that is no default and has no effect in a scene.
 
     Args:
         scene: the scene built with these parameters.

@@ -43,7 +43,7 @@ class ClosedMeshes:
 
 
 def find_file(uri: str, folder: Path) -> Path:
-    """Return the path of a mesh: package://PACKAGE/PATH, file://PATH, or a path relative to a folder.
+    """Return the path, existing or not, of package://PACKAGE/PATH, file://PATH, or a path in `folder`, or raise.
 
     Raises:
         ParameterError: for another URI, or a package that is not there.
@@ -65,7 +65,7 @@ def find_file(uri: str, folder: Path) -> Path:
 
 
 def load(uri: str, scale: tuple[float, ...], folder: Path) -> ClosedMeshes:
-    """Read a robot's mesh file as closed meshes: the mesh itself if it is closed and coarse, else convex hulls.
+    """Read a robot's mesh file as closed meshes [m]: itself if closed and coarse, else convex hulls; or raise.
 
     Args:
         uri: see `find_file`.
@@ -79,7 +79,7 @@ def load(uri: str, scale: tuple[float, ...], folder: Path) -> ClosedMeshes:
     try:
         path = find_file(uri, folder)
         data = input_file.read_bytes(path, max_bytes=MAX_BYTES)
-        solid = mesh_file.solid(data, name=path.name)
+        solid = mesh_file.parse_solid(data, name=path.name)
     except ParameterError:
         raise
     except OSError as error:
@@ -130,7 +130,7 @@ def _is_solid(vertices: Array, triangles: NDArray[np.int64]) -> bool:
 
 
 def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
-    """Return the triangles of each connected piece of a mesh."""
+    """Return the triangles (k, 3) of each connected piece of a mesh with `count` vertices."""
     from cloth_sim_ros.physics.model.sheets.merging import component_labels
 
     labels = component_labels(np.concatenate([triangles[:, :2], triangles[:, 1:]]), count)[triangles[:, 0]]
@@ -138,7 +138,7 @@ def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]
 
 
 def _hulls(vertices: Array, triangles: NDArray[np.int64]) -> tuple[tuple[Array, NDArray[np.int64]], ...]:
-    """Return the convex hulls of the pieces of a mesh.
+    """Return vertices and triangles of the convex hull of each piece of a mesh, or of the whole; empty if it is flat.
 
     The hull of the whole mesh replaces them if it has many pieces, or a flat one. Without volume there is none.
     """
@@ -152,7 +152,7 @@ def _hulls(vertices: Array, triangles: NDArray[np.int64]) -> tuple[tuple[Array, 
 
 
 def _hull(points: Array) -> tuple[Array, NDArray[np.int64]] | None:
-    """Return a convex hull of points (m, 3) [m] with at most 48 vertices; None if they lie in a plane.
+    """Return vertices and triangles of a convex hull of points (m, 3) [m] with at most 48 vertices; None if flat.
 
     With too many vertices it is that of some of them. The next one is always the furthest outside.
     """
@@ -182,7 +182,7 @@ def _distances_outside(points: Array, vertices: Array, triangles: NDArray[np.int
 
 
 def _exact_hull(points: Array) -> tuple[Array, NDArray[np.int64]] | None:
-    """Return the convex hull of points (m, 3) [m] as a closed mesh; None if they lie in a plane."""
+    """Return vertices and triangles of the convex hull of points (m, 3) [m], a closed mesh; None if it is flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     # Joggled input gives triangles without flat ones; it is the fallback, because it moves the vertices by rounding.

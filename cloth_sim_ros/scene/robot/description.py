@@ -29,7 +29,7 @@ _MAX_NUMBER, _MAX_LIMIT = 1e4, 1e9
 
 @attrs.frozen(kw_only=True)
 class Mimic:
-    """A joint's dependence on another one: position = multiplier * position of the other + offset."""
+    """Dependence of a joint's position on another joint's: multiplier * position of the other + offset."""
 
     joint: str
     multiplier: float
@@ -85,7 +85,7 @@ class RobotDescription:
 
 
 def parse(text: str | bytes) -> RobotDescription:
-    """Parse a robot's description (URDF) as links with collision shapes, and joints.
+    """Parse the text of a URDF as links with collision shapes and a tree of joints; raise ParameterError if invalid.
 
     Raises:
         ParameterError: naming the element, the fault and the remedy.
@@ -113,7 +113,7 @@ def parse(text: str | bytes) -> RobotDescription:
 
 
 def transform(position: Sequence[float], rotation: Array) -> Array:
-    """Return the homogeneous transform of a position [m] and a rotation matrix, shape (4, 4)."""
+    """Build the homogeneous transform, shape (4, 4), of a position [m] and a rotation matrix (3, 3)."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, position
     return matrix
@@ -140,7 +140,7 @@ def _first_duplicate(names: Sequence[str]) -> str:
 
 
 def _ordered_robot(shapes: dict[str, tuple[CollisionShape, ...]], joints: list[Joint]) -> RobotDescription:
-    """Check that the joints form a tree, and return the robot with its joints ordered from the root.
+    """Build the robot with its joints ordered from the root; raise ParameterError unless they form a tree.
 
     Raises:
         ParameterError: unless the joints form a tree over all links, and mimicked joints exist.
@@ -276,7 +276,7 @@ def _attribute(element: ElementTree.Element | None, name: str, subject: str) -> 
 def _numbers(
     element: Any, name: str, default: tuple[float, ...], subject: str, *, max_number: float = _MAX_NUMBER
 ) -> tuple[float, ...]:
-    """Parse the numbers of an XML attribute, as many as the default has; the default if it is missing."""
+    """Parse an XML attribute as many numbers as the default has; return the default if it is missing, or raise."""
     text = None if element is None else element.get(name)
     if text is None:
         return default

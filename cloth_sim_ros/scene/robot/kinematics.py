@@ -54,7 +54,7 @@ class Kinematics:
         self._offsets = np.array([offset for _, _, offset in sources])
 
     def joint_positions(self, values: Mapping[str, float]) -> Array:
-        """Convert joint positions by name to an array [rad or m]; a missing one is 0, or the limit nearest to 0."""
+        """Convert joint positions by name to an array as `joint_names` [rad or m]; a missing one is 0 within limits."""
         joints = self._named
         return np.array(
             [
@@ -64,7 +64,7 @@ class Kinematics:
         )
 
     def body_transforms(self, positions: Array, base: Array) -> Array:
-        """Return the transforms of all bodies (rigidly joined links) at joint positions, shape (bodies, 4, 4).
+        """Return transforms (bodies, 4, 4) of all bodies (rigidly joined links) at joint positions, the root at `base`.
 
         Args:
             positions: positions of `joint_names` [rad or m].

@@ -85,7 +85,7 @@ class RobotLinks:
         return self.kinematics.joint_names
 
     def poses(self, positions: Mapping[str, float] | Array, base: Array | None = None) -> Array:
-        """Return the poses of the obstacles in the scene's frame: position [m] and quaternion, shape (count, 7).
+        """Return the obstacles' poses in the scene's frame at joint positions: position [m] and quaternion, (count, 7).
 
         Args:
             positions: positions of joints [rad or m], by name or in the order of `joint_names`. A missing one is 0, or
@@ -97,12 +97,12 @@ class RobotLinks:
         return poses_of(bodies[self._bodies] @ self._placements)
 
     def poses_from_links(self, transforms: Mapping[str, Array]) -> Array:
-        """Return the poses of the obstacles, shape (count, 7), from transforms (4, 4) of their links by name."""
+        """Return the poses of the obstacles, shape (count, 7), from transforms (4, 4) of all their links by name."""
         of_links = np.array([transforms[link] for link in self.links]).reshape(-1, 4, 4)
         return poses_of(of_links @ self._origins)
 
     def link_pose(self, link: str, positions: Array, base: Array | None = None) -> Array:
-        """Return the pose of a robot's link in the scene's frame, shape (7,): position [m], quaternion x, y, z, w."""
+        """Return a link's pose in the scene's frame at joint positions, (7,): position [m], quaternion x, y, z, w."""
         body, placement = self.kinematics.placements[link]
         bodies = self.kinematics.body_transforms(positions, self._root(base))
         pose: Array = poses_of((bodies[body] @ placement)[None])[0]
@@ -115,7 +115,7 @@ class RobotLinks:
 def add_links(
     scene: Scene, values: Mapping[str, Any], description: str | bytes, *, folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes], RobotLinks]:
-    """Add a robot's links as obstacles to a scene's parameters; return these, contents of files, and the links.
+    """Return parameters with a robot's links as obstacles, contents of files, and `RobotLinks`; read meshes, or raise.
 
     The obstacles are at the poses of joints at 0; `RobotLinks.poses` and `with_poses` place them elsewhere.
 
@@ -164,7 +164,7 @@ def add_links(
 
 
 def with_poses(values: Mapping[str, Any], links: RobotLinks, poses: Array) -> dict[str, Any]:
-    """Return a scene's parameters with the links' obstacles at poses (count, 7)."""
+    """Return a copy of a scene's parameters with the links' obstacles at poses (count, 7)."""
     placed = dict(values)
     for name, pose in zip(links.names, poses.tolist(), strict=True):
         placed[f"{name}.position"], placed[f"{name}.orientation"] = tuple(pose[:3]), tuple(pose[3:])
@@ -172,7 +172,7 @@ def with_poses(values: Mapping[str, Any], links: RobotLinks, poses: Array) -> di
 
 
 def scene_with_links(scene: Scene, values: Mapping[str, Any], *, folder: str | Path = ".") -> tuple[Scene, RobotLinks]:
-    """Return a scene with the links in `robot.description_file` added as obstacles, and these links.
+    """Build a scene with the links in `robot.description_file` as obstacles; read its files; return it and the links.
 
     Args:
         scene: the scene without links.
@@ -189,7 +189,7 @@ def scene_with_links(scene: Scene, values: Mapping[str, Any], *, folder: str | P
 
 
 def read_description(name: str, folder: str | Path = ".") -> bytes:
-    """Read the file of a robot's description (URDF) that `robot.description_file` names.
+    """Read the bytes of the URDF file `name`, the value of `robot.description_file`; raise ParameterError.
 
     Raises:
         ParameterError: if no file is named, or it can't be read.
@@ -200,7 +200,7 @@ def read_description(name: str, folder: str | Path = ".") -> bytes:
 
 
 def without_links(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scene's parameters without the obstacles that are links of a robot."""
+    """Return a copy of a scene's parameters without the obstacles that are links of a robot."""
     names = {name.removesuffix(LINK_SUFFIX) for name, value in values.items() if name.endswith(LINK_SUFFIX) and value}
     remaining = {name: value for name, value in values.items() if name.rpartition(".")[0] not in names}
     if names and "obstacles" in remaining:
@@ -209,7 +209,7 @@ def without_links(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _selected_links(scene: Scene, robot: RobotDescription, kinematics: Kinematics) -> tuple[list[str], list[str]]:
-    """Return the links whose collision shapes may become obstacles, and sentences for the log."""
+    """Return the links whose collision shapes may become obstacles, and log sentences; raise for an invalid name."""
     with_shapes = [link for link, shapes in robot.shapes.items() if shapes]
     pads = [name for name in scene.robot.pads if name]
     named = [name for name in scene.robot.links if name]
@@ -263,7 +263,7 @@ def _obstacles_of(
 def _within_reach(
     scene: Scene, candidates: list[_LinkObstacle], kinematics: Kinematics, notes: list[str]
 ) -> list[_LinkObstacle]:
-    """Return the obstacles that can come within reach of the cloth.
+    """Return the obstacles that can come within reach of the cloth; add a sentence on the others to `notes`.
 
     An anchored cloth is within a ball about its initial centre, unless a gripper or a pad carries it. A robot that
     reaches that ball can carry cloth as far as its furthest link. All links that come there are then kept.

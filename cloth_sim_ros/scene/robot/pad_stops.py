@@ -68,14 +68,14 @@ class PadStops:
         self.accepted: Array | None = None
 
     def update(self, scene: Scene) -> None:
-        """Use the contact thickness of a changed scene for the smallest gap between pads."""
+        """Take the contact thickness, and with it the smallest gap between pads, from a changed scene."""
         if scene.contact.thickness != self._thickness:
             self._thickness = scene.contact.thickness
             self._min_gap = scene.robot.pad_gap * self._thickness
             self._features = self._features_of_pads()
 
     def limit_positions(self, positions: Array) -> Array:
-        """Limit commanded joint positions so that no pair of pads comes closer than permitted, or than before.
+        """Return joint positions that bring no pair of pads closer than permitted, or than before; remember them.
 
         Args:
             positions: commanded positions of the robot's joints [rad or m].
@@ -97,7 +97,7 @@ class PadStops:
         return result
 
     def _fraction(self, a: int, b: int, start: Array, end: Array) -> float:
-        """Return the largest fraction of a step of the joints at which two pads keep their smallest gap."""
+        """Return the largest fraction of a joint step, start to end, at which two pads keep their smallest gap."""
 
         def is_open(fraction: float) -> bool:
             return self._gap(a, b, self._links.poses(start + fraction * (end - start))) >= self._min_gap
@@ -115,7 +115,7 @@ class PadStops:
         return {k: obstacle_features(solid, self._thickness) for k, solid in self._solids.items()}
 
     def _gap(self, a: int, b: int, poses: Array) -> float:
-        """Return the least distance of the points of one pad from the other [m] at poses (count, 7) of the links."""
+        """Return the least distance of the points of one pad from the other [m] at poses (count, 7), or a bound."""
         solid_a, solid_b = self._solids[a], self._solids[b]
         features_a, features_b = self._features[a], self._features[b]
         offset = poses[a, :3] - poses[b, :3]
@@ -128,7 +128,7 @@ class PadStops:
 
 
 def _one_carries(first: list[int], second: list[int]) -> bool:
-    """Return true if one of two pads carries the other, by the joints that move them."""
+    """Return True if one of two pads carries the other, by the joints that move each, as from `moving_joints`."""
     short, long = sorted((first, second), key=len)
     return len(short) < len(long) and long[len(long) - len(short) :] == short
 

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 
 def build_grippers(scene: Scene, state: State) -> Grippers:
-    """Return the grippers of a scene with a state's poses and grips.
+    """Build a scene's grippers on a state, adding missing poses and grips to it; raise ValueError if it does not fit.
 
     Raises:
         ValueError: for a state with another number of grippers, or with two prescribed motions of one particle.
@@ -63,7 +63,7 @@ def build_grippers(scene: Scene, state: State) -> Grippers:
 
 
 def build_obstacles(scene: Scene, state: State) -> Obstacles | None:
-    """Return the obstacles of a scene with a state's poses; None without obstacles.
+    """Build a scene's obstacles on a state, adding missing poses to it, or None; raise ValueError if it does not fit.
 
     Raises:
         ValueError: for a state with another number of obstacles.
@@ -82,7 +82,7 @@ def build_obstacles(scene: Scene, state: State) -> Obstacles | None:
 
 
 def build_joints(scene: Scene, model: Model, state: State) -> ObstacleJoints | None:
-    """Return the spring joints between particles and the present obstacles; None without any.
+    """Build the joints of particles and present obstacles on a state, or None; raise ValueError if it does not fit.
 
     Raises:
         ValueError: for a state with another number of joints.
@@ -98,7 +98,7 @@ def build_joints(scene: Scene, model: Model, state: State) -> ObstacleJoints | N
 
 
 def build_parallel_grippers(plan: Plan, grippers: Grippers, state: State) -> ParallelGrippers | None:
-    """Return the pinching grippers of a plan and a state; None without any.
+    """Build the pinching grippers of a plan on a state, and set their reach in `grippers`; None without any.
 
     Raises:
         ValueError: for a state with another number of pinching grippers.
@@ -167,7 +167,7 @@ def _contact_controls(
     t: float,
     is_away: NDArray[np.bool_] | None = None,
 ) -> ContactControls:
-    """Return controls of contact without recovery, from the paths of obstacles and of grippers."""
+    """Build controls of contact, without recovery, from paths of obstacles and grippers; without any, the old ones."""
     if rows is None and pinching is None:
         return force.controls
     paths, commands, setpoints = [] if rows is None else [rows], force.controls.jaw_commands, None
@@ -178,7 +178,7 @@ def _contact_controls(
 
 
 def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, duration: float) -> list[int]:
-    """Return the indices of the grippers whose paths press a prescribed particle into an obstacle.
+    """Return the indices of the grippers whose paths in a frame press a prescribed particle into an obstacle.
 
     Such a particle does not yield, so its contact force would have no bound. A path is blocked if the particle comes
     closer to an obstacle than before, and closer than a tenth of the contact thickness.
@@ -247,7 +247,7 @@ def frame_wrenches(
     pinching: ParallelGrippers | None,
     joints: ObstacleJoints | None,
 ) -> tuple[Array, Array]:
-    """Return the wrenches of the cloth on grippers and obstacles in a frame, 6 numbers each; zeros if not recorded."""
+    """Return the cloth's mean wrenches in a frame on grippers and obstacles, (count, 6) each; 0 if not recorded."""
     wrenches = accumulator.wrenches if accumulator else np.zeros((plan.gripper_count, 6))
     obstacle_wrenches = accumulator.obstacle_wrenches if accumulator else np.zeros((plan.obstacle_count, 6))
     if joints is not None:
@@ -270,8 +270,8 @@ def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | N
     return solids, poses
 
 
-def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> None:
-    """Adapt the obstacles, friction anchors and contact thickness of states to another scene.
+def adapt_states(before: Scene, scene: Scene, states: Iterable[State]) -> None:
+    """Adapt obstacles, joints, friction anchors and contact thickness in states' memories to another scene.
 
     A scene without friction of bending has no plastic lengths.
     """
@@ -297,7 +297,7 @@ def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> No
 
 
 def carry_over_thickness(thickness: Array, before: Scene, scene: Scene) -> Array | None:
-    """Return the contact thickness after a change of scene, or None if every contact has the full one.
+    """Return the contact thickness [m] after a change of scene, a row per body; None if all contacts have the full one.
 
     New obstacles have the full thickness.
     """
@@ -312,7 +312,7 @@ def carry_over_thickness(thickness: Array, before: Scene, scene: Scene) -> Array
 
 
 def carry_over_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
-    """Return the friction anchors after a change of scene, or None if no contact has friction.
+    """Return the friction anchors after a change of scene, rows by body; None if no contact has friction.
 
     Remaining obstacles keep their anchors, and new ones have none. If friction returns later, anchors start empty.
     """

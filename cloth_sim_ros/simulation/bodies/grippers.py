@@ -35,7 +35,7 @@ _ROUNDING_MARGIN = 1.0 + 1e-9
 
 @attrs.frozen
 class GraspResult:
-    """Result of closing or opening a gripper: number of grasped particles, or the reason for none."""
+    """Result of a command to close or open a gripper: number of grasped particles, or the reason for none."""
 
     gripper: str
     closed: bool
@@ -80,11 +80,11 @@ class Grippers:
         state.memory.setdefault("grip.offsets", np.empty((0, 3)))
 
     def poses(self) -> Array:
-        """Return present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
+        """Return a copy of present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
         return self._state.memory["gripper.pose"].copy()
 
-    def lagging(self, stopped: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
-        """Return name and pose, 7 numbers, of each gripper that the newest frame left short of its commanded target.
+    def lagging_poses(self, stopped: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
+        """Return (name, pose of 7 numbers) of each gripper that the newest frame left short of its commanded target.
 
         Args:
             stopped: names of the bodies that stopped in the newest frame; a stopped gripper's target became its pose.
@@ -97,15 +97,15 @@ class Grippers:
         )
 
     def is_placed(self, index: int) -> bool:
-        """Return True if the gripper has received a target, and therefore has a pose."""
+        """Return True if the gripper of an index has received a target, and therefore has a pose."""
         return bool(self._state.memory["gripper.placed"][index])
 
     def is_closed(self, index: int) -> bool:
-        """Return True if the gripper is closed, with or without cloth."""
+        """Return True if the gripper of an index is closed, with or without cloth."""
         return bool(self._state.memory["gripper.closed"][index])
 
     def grasped_particles(self, index: int) -> np.ndarray:
-        """Return the indices of the particles that a gripper grasps."""
+        """Return a copy of the indices of the particles attached to the gripper of an index; empty for pads."""
         starts = self._state.memory["grip.starts"]
         return self._state.memory["grip.particles"][starts[index] : starts[index + 1]].copy()
 
@@ -152,7 +152,7 @@ class Grippers:
         return indices
 
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
-        """Grasp the free particles within the radius [m] of a gripper's present position."""
+        """Close a gripper, and attach the free particles within the radius [m] of its pose; return their number."""
         memory = self._state.memory
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
@@ -181,7 +181,7 @@ class Grippers:
         return GraspResult(name, True, 0, reason)
 
     def check_prescribed_particles(self) -> None:
-        """Refuse a state in which two grippers prescribe the motion of one particle.
+        """Raise ValueError if two grippers of the state prescribe the motion of one particle.
 
         Raises:
             ValueError: naming the particle.
@@ -194,7 +194,7 @@ class Grippers:
             )
 
     def _prescribed_particles(self) -> NDArray[np.int64]:
-        """Return the particles whose motion a gripper prescribes."""
+        """Return the indices of the particles whose motion a gripper prescribes, gripper by gripper."""
         memory = self._state.memory
         particles: NDArray[np.int64] = memory["grip.particles"][
             np.repeat(self._prescribes, np.diff(memory["grip.starts"]))
@@ -202,14 +202,14 @@ class Grippers:
         return particles
 
     def attach(self, name: str, particles: NDArray[np.int64]) -> None:
-        """Close a gripper that has a pose, and attach particles to it at their present positions."""
+        """Close a gripper that has a pose, and attach particles at their present positions, instead of former ones."""
         g = self.names.index(name)
         writable_copy(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
         self._replace(g, particles, to_body_frame(pose, self._state.x[:, particles]))
 
     def pinch(self, name: str, *, again: bool = False) -> GraspResult:
-        """Start closing the pads of a gripper. With `again`, closed pads start again, towards another opening."""
+        """Start to close a gripper's pads, or with `again` closed ones to another opening; return a pending result."""
         memory, g = self._state.memory, self.names.index(name)
         if memory["gripper.closed"][g] and not again:
             return GraspResult(name, True, 0, "it is closed already: open it first")
@@ -219,7 +219,7 @@ class Grippers:
         return GraspResult(name, True, 0, pending=True)
 
     def open(self, name: str) -> GraspResult:
-        """Open a gripper: release its particles, and let its pads, if it has some, open."""
+        """Open a gripper: release its particles, let its pads, if any, open in the next frames; return the result."""
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"
@@ -265,7 +265,7 @@ class Grippers:
     def _end_pose(
         self, duration: float, speeds: Sequence[float], g: int, pose: Sequence[float], target: Sequence[float]
     ) -> Sequence[float]:
-        """Return the pose of a gripper at the end of a frame: its target, or as close to it as its speed limit permits.
+        """Return gripper g's pose at a frame's end: its target, or nearer by its speed limit, which it then records.
 
         Pads are never faster than obstacles, because they would jump through the cloth.
         """
@@ -310,7 +310,7 @@ class Grippers:
         return Grasps(starts, particles, memory["grip.offsets"], stiffnesses, dampings, source, prescribed)
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
-        """Set the particles that one gripper grasps. Other grips stay unchanged."""
+        """Replace the particles, and their offsets (k, 3) [m], that one gripper grasps, in the state's memory."""
         memory = self._state.memory
         starts = memory["grip.starts"]
         begin, end = int(starts[gripper]), int(starts[gripper + 1])

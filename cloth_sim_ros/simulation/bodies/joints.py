@@ -44,7 +44,7 @@ class ObstacleJoints:
         self._grasps: Grasps | None = None
 
     def gripper_grasps(self, present: Grasps) -> Grasps:
-        """Return the part of the present grasps that belongs to grippers."""
+        """Return the part of the plan's present grasps that belongs to grippers, without the joints."""
         return present.source[0] if present is self._grasps else present
 
     def extend(self, grips: GripControls, obstacle_paths: Array) -> GripControls:
@@ -68,7 +68,7 @@ class ObstacleJoints:
         return GripControls(np.concatenate([grips.paths, obstacle_paths[self.obstacles]]), extended)
 
     def move_wrenches(self, grip_wrenches: Array, obstacle_wrenches: Array) -> tuple[Array, Array]:
-        """Add the wrenches of joints to those of their obstacles; return the wrenches on grippers and on obstacles.
+        """Add the joints' wrenches to copies of their obstacles'; return the wrenches on grippers and on obstacles.
 
         Args:
             grip_wrenches: wrenches on grippers and then on joined obstacles, shape (grippers + joined obstacles, 6).
@@ -86,7 +86,7 @@ def _with_joints(prescribed: NDArray[np.bool_] | None, count: int) -> NDArray[np
 
 
 def replace_joints(state: State, before: Scene, scene: Scene) -> None:
-    """Replace the joints in a state's memory by those of another scene. Joints that remain keep their points.
+    """Replace the joints in a state's memory by those of another scene; joints that remain keep their points.
 
     The state has the obstacles of the other scene already. Without joints in memory it stays unchanged.
     """

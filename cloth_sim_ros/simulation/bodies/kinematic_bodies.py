@@ -27,7 +27,7 @@ EndPose = Callable[[int, Sequence[float], Sequence[float]], Sequence[float]]
 
 
 def writable_copy(state: State, name: str) -> NDArray:
-    """Replace an array of the state's memory by a copy, and return the copy for writing.
+    """Replace an array of the state's memory by a copy, and return the copy for writing; the old one may be shared.
 
     The old array stays unchanged, because earlier states share it.
     """
@@ -36,7 +36,7 @@ def writable_copy(state: State, name: str) -> NDArray:
 
 
 def constant_paths(t: float, poses: Array) -> Array:
-    """Return the paths of bodies at rest at poses (count, 7) from time t [s] on, shape (count, PATH_NUMBERS)."""
+    """Return paths of bodies at rest at poses (count, 7) from time t [s] on, engine rows (count, PATH_NUMBERS)."""
     rows = np.zeros((len(poses), PATH_NUMBERS))
     rows[:, 0], rows[:, 1:4], rows[:, 13:17] = t, poses[:, :3], poses[:, 3:]
     return rows
@@ -58,7 +58,7 @@ def clamp_motion(pose: Sequence[float], target: Sequence[float], reach: float, m
 
 
 def travel(pose: Sequence[float], target: Sequence[float], reach: float) -> float:
-    """Return an upper bound [m] of the path of points within `reach` [m] of the origin from a pose to a target."""
+    """Return an upper bound [m] of the path from pose to target of points within `reach` [m] of the body's origin."""
     displacement = [target[i] - pose[i] for i in range(3)]
     # The rotation costs a call of the engine; a body without extent needs none.
     return _length(displacement) + (reach * _length(rotation_vector(pose[3:], target[3:])) if reach else 0.0)
@@ -89,11 +89,11 @@ class KinematicBodies:
             state.memory.setdefault(name, array)
 
     def array(self, quantity: str) -> NDArray:
-        """Return one of the arrays `pose`, `twist`, `turn` and `target`, for reading."""
+        """Return the state's array `pose`, `twist`, `turn` or `target` of all bodies, for reading only."""
         return self._state.memory[f"{self._kind}.{quantity}"]
 
     def writable_copy(self, quantity: str) -> NDArray:
-        """Return a copy of one of the arrays, which replaces it, for writing."""
+        """Replace the state's array `pose`, `twist`, `turn` or `target` by a copy; return it for writing."""
         return writable_copy(self._state, f"{self._kind}.{quantity}")
 
     @property
@@ -103,7 +103,7 @@ class KinematicBodies:
         return is_still and np.array_equal(self.array("pose"), self.array("target"))
 
     def set_target(self, index: int, position: Vector, orientation: Vector | None) -> Array:
-        """Store a target position [m] and orientation, by default the present target's; return its pose, shape (7,)."""
+        """Store a target position [m] and orientation (None: the present target's); return the target's pose, (7,)."""
         target = writable_copy(self._state, self._names[3])
         if orientation is None:
             # Element by element, because building an array of three numbers takes longer.

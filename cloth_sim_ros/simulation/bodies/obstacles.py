@@ -63,7 +63,7 @@ class Obstacles:
         self._bodies = KinematicBodies(_KIND, np.array([_start_pose(descriptions[name]) for name in self.names]), state)
 
     def poses(self) -> Array:
-        """Return present poses: position [m] and quaternion x, y, z, w, shape (obstacle_count, 7)."""
+        """Return a copy of present poses: position [m] and quaternion x, y, z, w, shape (obstacle_count, 7)."""
         return self._bodies.array("pose").copy()
 
     @property
@@ -78,11 +78,11 @@ class Obstacles:
         return [self.names[k] for k in np.flatnonzero(is_away).tolist()]
 
     def set_target(self, event: Move) -> None:
-        """Store the target pose of the obstacle that an event names."""
+        """Store the target pose of the obstacle that an event names; `move` follows it."""
         self._bodies.set_target(self.names.index(event.obstacle), event.position, event.orientation)
 
     def set_targets(self, event: MoveObstacles) -> None:
-        """Store the target poses of the obstacles that an event names."""
+        """Store the target poses of the obstacles that an event names; `move` follows them."""
         self._bodies.set_targets([self._indices[name] for name in event.obstacles], event.poses)
 
     def hold_position(self) -> list[str]:
@@ -122,7 +122,7 @@ class Obstacles:
         return float(gap[particle]), particle
 
     def check_outside(self, names: Iterable[str], anchored: Collection[int]) -> None:
-        """Refuse a cloth with a free particle inside named obstacles. Anchored particles may be inside.
+        """Raise ValueError if a particle, other than the anchored ones, is inside one of the named obstacles.
 
         Raises:
             ValueError: naming the obstacle, the deepest particle and its depth; the end of a sentence.
@@ -187,7 +187,7 @@ def replace_obstacles(
     names_after: list[str],
     descriptions: Mapping[str, sections.ObstacleParameters],
 ) -> None:
-    """Replace the obstacles in a state's memory. Obstacles that remain keep pose and motion.
+    """Replace the obstacles in a state's memory by others; obstacles that remain keep pose and motion.
 
     Args:
         state: the state; without obstacles in memory it stays unchanged.
@@ -224,5 +224,5 @@ def gaps(solid: Obstacle, pose: Array, x: Array, *, max_distance: float = math.i
 
 
 def _start_pose(description: sections.ObstacleParameters) -> Array:
-    """Return the initial pose of an obstacle, shape (7,)."""
+    """Return the initial pose of an obstacle, shape (7,): position [m] and unit quaternion x, y, z, w."""
     return np.concatenate([np.asarray(description.position, dtype=np.float64), normalized(description.orientation)])

@@ -23,7 +23,7 @@ _REST_FRACTION = 1e-3
 
 
 class ParallelGrippers:
-    """Pads of the pinching grippers of one simulation; their openings and speeds are kept in ``state.memory``.
+    """Pads of the pinching grippers of one simulation; the state's memory keeps openings and speeds.
 
     Args:
         pads: pads of each pinching gripper; their order is that of every array.
@@ -68,7 +68,7 @@ class ParallelGrippers:
         return np.stack([memory[name][self._indices] for name in ("gripper.placed", "gripper.closed")], axis=1)
 
     def move_pad_wrenches(self, obstacle_wrenches: Array, gripper_wrenches: Array) -> Array:
-        """Add the wrenches on pads, the last rows, to those of their grippers; return the wrenches on obstacles."""
+        """Add wrenches on pads, the last rows, to `gripper_wrenches` in place; return the rows of obstacles."""
         n_obstacles = len(obstacle_wrenches) - len(self.boxes)
         for k, index in enumerate(self._indices):
             left, right = obstacle_wrenches[n_obstacles + 2 * k : n_obstacles + 2 * k + 2]
@@ -76,7 +76,7 @@ class ParallelGrippers:
         return obstacle_wrenches[:n_obstacles]
 
     def setpoint(self, name: str) -> tuple[float, float, float]:
-        """Return a gripper's commanded half opening [m], force [N] and speed [m/s], or `NO_SETPOINT`."""
+        """Return a gripper's commanded half opening [m], force [N], speed [m/s]; `NO_SETPOINT` without one."""
         setpoints = self.setpoints
         return NO_SETPOINT if setpoints is None else tuple(setpoints[self.names.index(name)].tolist())
 
@@ -86,7 +86,7 @@ class ParallelGrippers:
         return self._state.memory.get(SETPOINTS_KEY)
 
     def set_setpoint(self, event: Grasp) -> None:
-        """Store the opening, force and speed that a grasp commands, or that it commands none."""
+        """Store the opening, force and speed that a grasp commands, or that it leaves them to the scene."""
         if event.opening is None and not event.force and not event.speed and self.setpoints is None:
             return
         self._state.memory.setdefault(SETPOINTS_KEY, np.array([NO_SETPOINT] * len(self.pads)))
@@ -109,7 +109,7 @@ class ParallelGrippers:
         return 2.0 * half_opening, 2.0 * jaw_speed, jaw.force * (direction + jaw_speed / jaw.speed)
 
     def request_rest_result(self, name: str) -> None:
-        """Request a report when the pads of a gripper come to rest."""
+        """Request an entry in a later `rest_results` when the pads of a gripper come to rest."""
         writable_copy(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
 
     def grasped_count(self, plan: Plan, t: float, name: str) -> int:
@@ -121,7 +121,7 @@ class ParallelGrippers:
         return int(counts.min())
 
     def rest_results(self, plan: Plan, t: float) -> list[GraspResult]:
-        """Return results of the grippers whose pads came to rest in the frame that ended at time t [s].
+        """Return requested results of pads that came to rest in the frame that ended at time t [s], each once.
 
         Pads that open entirely are not reported.
         """
@@ -155,7 +155,7 @@ class ParallelGrippers:
 
 
 def check_first_pose(jaw: ParallelJaw, pose: Array, state: State) -> Array:
-    """Return the poses of a gripper's open pads at its first pose. Refuse a pose with particles inside a pad.
+    """Return the poses (2, 7) of open pads at a gripper's first pose; raise ValueError if particles are inside a pad.
 
     Returns:
         Position [m] and quaternion x, y, z, w, shape (2, 7).
