@@ -110,7 +110,7 @@ class AccuracyWindow:
     """Number of unflagged frames whose error alone exceeds its bound."""
 
     def add(self, frame: FrameAccuracy) -> None:
-        """Include the next frame in the maxima of the window."""
+        """Include the next frame in the counts and maxima of the window."""
         is_first = not self.frames
         self.end, self.frames = frame.time, self.frames + 1
         self.flagged += frame.flagged

@@ -70,7 +70,7 @@ class ReferenceSolution:
         self._integrator = ReferenceIntegrator(0.0)
 
     def advance(self, equations: Equations, frame: SimulatedFrame) -> ReferenceResult:
-        """Advance by a frame; return reference positions, their uncertainty and the perturbations' growth factor."""
+        """Integrate the motions over the next frame; return reference positions, uncertainty and amplification."""
         solution, check, perturbed = self._solution, self._check, self._perturbed
         apply_grasps([solution, check, *perturbed], frame)
         plan = equations.plan(frame, solution)
@@ -106,7 +106,7 @@ class ReferenceSolution:
 
 
 def reference_error_rate(tolerance: float | None) -> float:
-    """Return the permitted error per second of the reference solution [m/s]."""
+    """Return the permitted error of the reference solution per second [m/s]: a hundredth of the tolerance, if set."""
     return ERROR_BUDGET_FRACTION * (tolerance or _DEFAULT_TOLERANCE)
 
 
