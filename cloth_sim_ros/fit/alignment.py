@@ -108,7 +108,7 @@ class AlignmentModel:
         return [self.columns(k)[1] for k in range(self.n_recordings)]
 
     def columns(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return which of the seven unknowns a recording has, and their indices in the vector of all unknowns.
+        """Return two arrays: a recording's components (0 to 6), and their indices in the vector of all unknowns.
 
         Component 0 is the time offset, 1 to 3 are the rotation, 4 to 6 the shift.
         """
@@ -140,19 +140,19 @@ class AlignmentModel:
         return counts > 1
 
     def alignment(self, unknowns: Array, index: int) -> Alignment:
-        """Return the time offset and the camera pose of a recording from the vector of all unknowns."""
+        """Return one recording's time offset and camera pose, read from the vector of all unknowns."""
         components, places = self.columns(index)
         numbers = np.zeros(7)
         numbers[components] = unknowns[places]
         return Alignment(offset=float(numbers[0]), rotation=tuple(numbers[1:4]), shift=tuple(numbers[4:]))
 
     def write_alignment(self, unknowns: Array, index: int, alignment: Alignment) -> None:
-        """Write the time offset and the camera pose of a recording into the vector of all unknowns."""
+        """Write a recording's time offset and camera pose into the vector of all unknowns, in place."""
         components, places = self.columns(index)
         unknowns[places] = np.array([alignment.offset, *alignment.rotation, *alignment.shift])[components]
 
     def clamp(self, unknowns: Array, offsets: tuple[float, float]) -> Array:
-        """Return the vector of unknowns with its time offsets clamped to two limits [s]."""
+        """Return a copy of the vector of unknowns with its time offsets clamped to (smallest, largest) [s]."""
         clamped = unknowns.copy()
         for k in range(self.n_recordings):
             components, places = self.columns(k)
@@ -229,7 +229,7 @@ def search_alignment(
     model: AlignmentModel,
     offsets: tuple[float, float],
 ) -> tuple[Alignment, float]:
-    """Return the best alignment that some recordings share, by a grid of time offsets, and its mean distance [m].
+    """Return the alignment that fits all given recordings best, by a grid of time offsets, and its mean distance [m].
 
     Each time offset on a grid has its best camera pose in closed form. The cost is the mean of the points' distances
     after it. Bare points give no pose: their mean distance from the surface decides on the offset alone.

@@ -21,7 +21,7 @@ _MAX_VARIANCE = 100.0
 
 @attrs.frozen(kw_only=True, eq=False)
 class Covariance:
-    """Covariance of the fitted parameters' logarithms, and standard deviations of parameters and alignment."""
+    """Covariance of the fitted parameters' logarithms; standard deviations of these and of the alignment's unknowns."""
 
     #: Shape (p, p).
     matrix: Array
@@ -38,7 +38,7 @@ class Covariance:
 
 
 def jackknife_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
-    """Return the covariance of the parameters' logarithms by leaving out each motion in turn (jackknife).
+    """Return the covariance of the parameters' logarithms by leaving out each of the `selected` motions in turn.
 
     Motions are independent; clouds of a motion may be correlated in any way, and the model may be wrong. Unknowns
     of one motion alone are eliminated before. Deviations are infinite of parameters about which the clouds say nothing

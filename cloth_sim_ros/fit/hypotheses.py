@@ -114,7 +114,7 @@ def selections(particles: Mapping[str, tuple[int, ...]], *, is_named: bool = Fal
 def plausible_particles(
     recordings: Sequence[Recording], scene: Scene, named: Mapping[str, tuple[int, ...]], max_offset: float
 ) -> list[dict[str, tuple[int, ...]]]:
-    """Return the combinations of particles that the grippers may hold by the first clouds, the likeliest first.
+    """Return combinations of particles (by gripper) that the first clouds allow, the likeliest first. Raises FitError.
 
     A particle is plausible if it is near the gripper in the first clouds, wherever a poor camera pose puts them. The
     distances between the grippers rank the combinations.

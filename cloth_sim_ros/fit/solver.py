@@ -110,7 +110,7 @@ class FitProblem:
     def linearize(
         self, theta: Array, steps: Array, n_clouds: int, tolerance: float, r: Array | None = None
     ) -> Linearization:
-        """Return residuals and central differences by the parameters' logarithms, from simulations near a point.
+        """Return residuals and central differences at `theta`, from simulations around it. Raises FitError.
 
         Args:
             theta: logarithms of the parameters, shape (p,).
