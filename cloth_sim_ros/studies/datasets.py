@@ -24,7 +24,7 @@ TrajectorySource = Callable[[], Iterator[Trajectory]]
 
 
 def to_zarr(folder: Path, out: Path) -> int:
-    """Export the successful runs of a study as a zarr v3 group; return exit status 0."""
+    """Write the successful runs of a study as a new zarr v3 group `out`; return exit status 0. Raises StudyError."""
     from cloth_sim_ros.studies import zarr_export
 
     def write(study_folder: StudyFolder, target: Path, runs: TrajectorySource, count: int) -> None:
@@ -34,7 +34,7 @@ def to_zarr(folder: Path, out: Path) -> int:
 
 
 def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
-    """Export the successful runs of a study as a LeRobotDataset v3.0; return exit status 0."""
+    """Write the successful runs of a study as a new LeRobotDataset v3.0 `out`; return 0. Raises StudyError."""
     from cloth_sim_ros.studies import lerobot_export
 
     def write(_study_folder: StudyFolder, target: Path, runs: TrajectorySource, _count: int) -> None:
@@ -44,7 +44,7 @@ def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
 
 
 def to_mcap(folder: Path, out: Path) -> int:
-    """Export the successful runs of a study as sessions with clouds; return exit status 0."""
+    """Write the successful runs of a study as sessions with clouds into a new folder; return 0. Raises StudyError."""
     study_folder = StudyFolder(folder)
 
     def write(_study_folder: StudyFolder, target: Path, _runs: TrajectorySource, count: int) -> None:
@@ -56,7 +56,7 @@ def to_mcap(folder: Path, out: Path) -> int:
 
 
 def successful_sessions(study_folder: StudyFolder) -> list[tuple[int, Path]]:
-    """Return the index and the session file of each successful run.
+    """Return (index, session file) of each successful run. Raises StudyError without one.
 
     Raises:
         StudyError: if no run was successful.
