@@ -67,7 +67,7 @@ def rotation_of(vector: Sequence[float]) -> Array:
 
 
 def rotation_vector(matrix: Array) -> tuple[float, ...]:
-    """Return the rotation vector [rad] of a rotation matrix, for angles below pi."""
+    """Return the rotation vector [rad], 3 numbers, of a rotation matrix (3, 3), for angles below pi."""
     axis = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2.0
     sine, cosine = float(np.linalg.norm(axis)), (float(np.trace(matrix)) - 1.0) / 2.0
     return tuple((axis * (math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0)).tolist())
@@ -132,7 +132,7 @@ class AlignmentModel:
             sigmas[places] = np.array(PRIOR_SIGMAS)[components]
         return sigmas
 
-    def is_shared(self) -> NDArray[np.bool_]:
+    def shared_mask(self) -> NDArray[np.bool_]:
         """Return a mask of the unknowns that several recordings share, shape (unknowns,)."""
         counts = np.zeros(self.n_unknowns, dtype=np.int64)
         for k in range(self.n_recordings):
@@ -164,7 +164,7 @@ class AlignmentModel:
 def cloud_residuals(
     recording: FitRecording, trajectory: SimulatedMotion, alignment: Alignment, pivot: Array, clouds: NDArray[np.int64]
 ) -> list[Array]:
-    """Return the residuals of some clouds of a recording [m]: measured minus simulated points.
+    """Return measured minus simulated points of some clouds [m], an array (n, 3), or (n, 1) of bare points, for each.
 
     A matched cloud gives a vector per visible particle, shape (n, 3). Bare points give distances, shape (n, 1).
 
@@ -259,7 +259,7 @@ def search_alignment(
 
 
 def _register(x: Array, y: Array, offset: float, model: AlignmentModel) -> tuple[float, Alignment]:
-    """Return the mean distance [m] after a robust rigid registration of points x to y, and its camera pose."""
+    """Return (mean distance [m], alignment) after a robust rigid registration of points x to y."""
     pivot, weights = np.array(model.pivot), np.ones(len(x))
     turn, shift = np.eye(3), np.zeros(3)
     for _ in range(4):

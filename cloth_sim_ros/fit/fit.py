@@ -156,7 +156,7 @@ def fit(
     workers: int | None = None,
     on_progress: Callable[[int], None] = lambda _runs: None,
 ) -> Fit:
-    """Fit parameters to one recording by least squares, with simulations in worker processes. Raises FitError.
+    """Fit parameters to one recording, simulating in worker processes; return a `Fit`. Raises FitError.
 
     Args:
         recording: commands and clouds, see `fit_recording`.

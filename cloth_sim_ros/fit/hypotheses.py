@@ -72,7 +72,7 @@ class GraspChoice:
 
     @property
     def best(self) -> Hypothesis:
-        """The chosen combination."""
+        """The chosen combination, the first of `hypotheses`."""
         return self.hypotheses[0]
 
     @property
@@ -96,7 +96,7 @@ class GraspChoice:
 
 
 def selections(particles: Mapping[str, tuple[int, ...]], *, is_named: bool = False) -> list[GraspedParticles]:
-    """Return the particles of each gripper as `GraspedParticles`, without distances."""
+    """Return a `GraspedParticles` for each gripper from particles by gripper, without distances."""
     return [
         GraspedParticles(
             gripper=name,

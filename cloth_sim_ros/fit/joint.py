@@ -161,7 +161,7 @@ class JointProblem:
         return results
 
     def residuals(self, index: int, trajectory: SimulatedMotion, eta: Array) -> list[Array]:
-        """Return the residuals of the used clouds of one recording [m], by its simulated motion and alignment."""
+        """Return the residuals of one recording's used clouds, an array (n, d) [m] for each, without simulating."""
         alignment = self.alignment.alignment(eta, index)
         return cloud_residuals(self.recordings[index], trajectory, alignment, self.pivot, self.used[index])
 
@@ -373,7 +373,7 @@ def solve_joint(
     chord: bool = False,
     converged_fraction: float = _CONVERGED_FRACTION,
 ) -> JointSolution:
-    """Minimize the loss from a point on, by Gauss-Newton steps with a line search. Raises FitError.
+    """Minimize the loss from a point on, by Gauss-Newton and line search; return the solution. Raises FitError.
 
     Args:
         problem: recordings and unknowns.

@@ -79,7 +79,7 @@ def topic_messages(paths: Sequence[Path], topic: str) -> Iterator[tuple[int, Any
             raise SessionError(f"{path} can't be read as a bag: {error}") from error
 
 
-def select(message: Any, field: str) -> list[Any]:
+def field_values(message: Any, field: str) -> list[Any]:
     """Return the values of a message's field, a list over the elements of its arrays. Raises FitError if it is absent.
 
     Raises:
@@ -124,7 +124,7 @@ def points_of(message: Any, field: str) -> Array:
             raise FitError(f"fields '{field}' hold {sizes} numbers; each point has one in every field")
         return np.stack(columns, axis=1)
     rows: list[list[float]] = []
-    for value in select(message, field):
+    for value in field_values(message, field):
         if all(hasattr(value, axis) for axis in "xyz"):
             rows.append([float(value.x), float(value.y), float(value.z)])
             continue
@@ -141,7 +141,9 @@ def points_of(message: Any, field: str) -> Array:
 def _numbers(message: Any, field: str) -> Array:
     """Return all numbers that a message's field holds, shape (count,)."""
     try:
-        return np.concatenate([np.atleast_1d(np.asarray(v, dtype=np.float64)).ravel() for v in select(message, field)])
+        return np.concatenate(
+            [np.atleast_1d(np.asarray(v, dtype=np.float64)).ravel() for v in field_values(message, field)]
+        )
     except (TypeError, ValueError) as error:
         raise FitError(f"field '{field}' holds no numbers: {error}") from error
 
@@ -152,7 +154,7 @@ def indices_of(message: Any, field: str) -> list[int]:
     Raises:
         FitError: if the field has no whole numbers.
     """
-    values = select(message, field)
+    values = field_values(message, field)
     flat = [entry for value in values for entry in (value.tolist() if isinstance(value, np.ndarray) else [value])]
     try:
         particles = [int(entry) for entry in flat]
@@ -169,7 +171,7 @@ def pose_of(message: Any, field: str) -> list[float]:
     Raises:
         FitError: if the field is no pose.
     """
-    values = select(message, field) if field else [message]
+    values = field_values(message, field) if field else [message]
     if len(values) != 1:
         raise FitError(f"field '{field}' has {len(values)} values; a gripper has one pose")
     value = values[0]

@@ -145,7 +145,7 @@ def fit_motions(
     on_progress: Callable[[int], None] = lambda _runs: None,
     pool: TrajectoryPool | None = None,
 ) -> MotionFit:
-    """Fit parameters to several whole motions of one cloth, with simulations in worker processes. Raises FitError.
+    """Fit parameters to several whole motions of one cloth, in worker processes; return the fit. Raises FitError.
 
     Args:
         recordings: commands and clouds, see `motion_recording` and `read_session`.
@@ -339,7 +339,7 @@ def _complete_alignment(problem: JointProblem, point: Point, selected: Sequence[
         return point.eta
     eta, further = point.eta.copy(), _point(problem, point.theta, point.eta, missing, SEARCH_TOLERANCE)
     aligned = align_all(problem, further, missing)
-    is_shared = problem.alignment.is_shared()
+    is_shared = problem.alignment.shared_mask()
     for k in missing:
         places = problem.alignment.columns(k)[1]
         places = places[~is_shared[places]]

@@ -36,7 +36,7 @@ def _to_clouds(clouds: Iterable[ArrayLike]) -> tuple[NDArray[np.float64], ...]:
 
 @attrs.frozen(eq=False, kw_only=True)
 class RecordedGripper:
-    """Recorded poses and grasps of one gripper over time."""
+    """Recorded poses and grasps of one gripper over time. Raises FitError for arrays of other shapes."""
 
     #: Times of the poses [s], ascending, shape (n,).
     times: NDArray[np.float64] = attrs.field(converter=_to_array)
@@ -100,7 +100,7 @@ class RecordedGripper:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Recording:
-    """Clouds and gripper poses of one motion of a real cloth.
+    """Clouds and gripper poses of one motion of a real cloth. Raises FitError if times or points are invalid.
 
     All times have one origin. The clouds' clock may differ from the grippers' by an offset, which a fit can find.
     """

@@ -159,7 +159,7 @@ def difference_steps(fisher: Array) -> Array:
 
 
 def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, tolerance: float) -> Linearization:
-    """Minimize the residuals of the first `n_clouds` clouds by Levenberg-Marquardt; return the linearization there.
+    """Minimize the first clouds' residuals by Levenberg-Marquardt; return the linearization there. Raises FitError.
 
     Args:
         problem: the least-squares problem.

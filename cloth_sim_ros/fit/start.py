@@ -173,7 +173,7 @@ def closed_grippers(
 
 
 def gripper_path(track: RecordedGripper, start: float) -> GripperPath:
-    """Return the positions of a gripper over the time since a start [s]."""
+    """Return a gripper's recorded positions as a path over the time since a start [s]."""
     return GripperPath(times=track.times - start, positions=track.positions)
 
 

@@ -31,7 +31,7 @@ _LEVER_ARM = 0.1
 
 
 class ActionDecoder:
-    """Decoder of action arrays into events of a simulation.
+    """Decoder of action arrays into events of a simulation. Raises ValueError for a scene without grippers.
 
     Args:
         scene: the cloth's scene.

@@ -59,5 +59,5 @@ class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
         return observations[0], float(rewards[0]), bool(terminations[0]), bool(truncations[0]), info
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Stop the threads; a later step raises RuntimeError."""
         self._cloths.close()

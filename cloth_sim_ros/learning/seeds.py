@@ -20,7 +20,7 @@ class Generators:
         self._generators: list[tuple[np.random.Generator, int] | None] = [None] * count
 
     def seed(self, seed: int | Sequence[int | None] | None, indices: Sequence[int]) -> None:
-        """Seed the random generators of some cloths.
+        """Seed the random generators of some cloths, or keep their states (None). Raises ValueError.
 
         Args:
             seed: seed of generator 0, which increases by 1 per generator; or one seed for each of them. None keeps a

@@ -142,7 +142,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """Random generator of each cloth, a tuple."""
+        """Random generator of each cloth, a tuple; those without a seed are created at the first access."""
         return self._generators.generators()
 
     @property

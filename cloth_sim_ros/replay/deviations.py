@@ -55,7 +55,7 @@ def typical_deviation(
 
 
 class RecentMoments:
-    """Simulated and ROS times of the newest frames."""
+    """Simulated and ROS times of the newest 1000 frames."""
 
     def __init__(self) -> None:
         self._moments: deque[Moment] = deque(maxlen=_N_MOMENTS)

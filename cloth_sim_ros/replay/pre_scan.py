@@ -59,7 +59,9 @@ class PreScan:
 
 
 def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is_followed: bool = False) -> PreScan:
-    """Read a sample of a session's clouds for bounds, colour range and plots; one cloud if `is_followed`.
+    """Read a sample of a session's clouds; return bounds, colour range and plots. Raises SessionError.
+
+    The sample is one cloud if `is_followed`, because the session is still being recorded.
 
     Raises:
         SessionError: if the session has no surface, or its clouds do not fit the surface.

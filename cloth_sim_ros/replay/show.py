@@ -122,7 +122,7 @@ def save_picture(
 def _with_accuracy(
     paths: Sequence[Path], scan: PreScan, is_requested: bool
 ) -> Iterator[tuple[PreScan, MeasuredAccuracy | None]]:
-    """Yield the scan and, if requested, the measured accuracy, whose files exist within the context."""
+    """Context that measures the accuracy, if requested; yields scan and accuracy, whose files exist within it."""
     if not is_requested:
         yield scan, None
         return

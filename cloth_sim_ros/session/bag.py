@@ -39,7 +39,7 @@ _ENDINGS = (".mcap", _SQLITE)
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Return a bag folder's .mcap and .db3 files in recording order; for a file, it alone. Raises SessionError.
+    """Return a bag folder's .mcap and .db3 files in recording order; of a file, a list of it. Raises SessionError.
 
     Raises:
         SessionError: for a folder without such files.

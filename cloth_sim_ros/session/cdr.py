@@ -119,7 +119,7 @@ def decode_string(data: bytes | memoryview) -> str:
 
 
 def decode_cloud(data: bytes | memoryview) -> Cloud:
-    """Decode a PointCloud2; positions, and velocities if present, are views of `data`. Raises SessionError.
+    """Decode a PointCloud2 into a `Cloud`, whose positions and velocities are views of `data`. Raises SessionError.
 
     Raises SessionError unless x, y, z are float32 or float64.
     """
@@ -177,7 +177,7 @@ def _are_evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, 
 
 
 def decode_mesh(data: bytes | memoryview) -> MeshMessage:
-    """Decode a shape_msgs/Mesh as views of `data`. Raises SessionError if the bytes are not one."""
+    """Decode a shape_msgs/Mesh into a `MeshMessage`, views of `data`. Raises SessionError if the bytes are not one."""
     reader = _CdrReader(data, "shape_msgs/msg/Mesh")
     (triangle_count,) = reader.numbers("I")
     triangles = reader.array("<u4", triangle_count * 3)

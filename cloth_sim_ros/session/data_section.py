@@ -45,7 +45,7 @@ _STRING = "std_msgs/msg/String"
 
 
 def is_fully_indexed(file: BinaryIO, summary: Summary, data_start: int) -> bool:
-    """Return True if a file's indexes name all records of its data section, with their lengths, but message indexes.
+    """Return True if a file's indexes name all records of its data section but message indexes, with right lengths.
 
     The lengths in the indexes are checked: one that is too large would hide a chunk.
     """
@@ -105,7 +105,7 @@ def content_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]
 
 
 def read_unchunked(file: BinaryIO, location: RecordLocation) -> Chunk | None:
-    """Read schemas, channels and messages outside of chunks, from `location` on (1 MiB), as one chunk; or None.
+    """Read schemas, channels and messages outside of chunks, from `location` on (1 MiB), as a chunk; None for others.
 
     None if `location` holds none of these. Raises DamagedRecordError if a record does not parse.
     """
@@ -192,7 +192,7 @@ def _check_unchunked(location: RecordLocation, body: bytes) -> None:
 
 
 def _is_message_index(body: bytes) -> bool:
-    """Return True for the body of a message index: one flipped bit turns its opcode into that of a message.
+    """Return True if a record's body has the layout of a message index: one flipped bit makes its opcode a message's.
 
     In a message the same bytes are an arbitrary sequence number and a publish time, which is larger than any offset.
     """

@@ -180,7 +180,7 @@ class McapBuilder:
         return channel.id
 
     def add_message(self, channel: int, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
-        """Add a message to the open chunk; times in nanoseconds since the epoch."""
+        """Add a message to the open chunk. `channel`: id from `add_channel`; times in nanoseconds since the epoch."""
         chunk = self._chunk
         if not chunk.message_count or log_time < chunk.first_time:
             chunk.first_time = log_time

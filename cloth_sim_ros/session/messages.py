@@ -85,7 +85,7 @@ class CloudEncoder:
         normals: NDArray[np.float64] | None = None,
         deviation: NDArray[np.float64] | None = None,
     ) -> bytes:
-        """Encode positions x [m] and, if the cloud has them, velocities v [m/s] and normals, all of shape (3, n).
+        """Return CDR bytes of positions x [m] and, if the cloud has them, velocities v [m/s] and normals, all (3, n).
 
         `deviation`: deviation of each particle [m], shape (n,), if the cloud has that field.
         """

@@ -128,7 +128,7 @@ class SessionPart:
 
     @property
     def scene_yaml(self) -> str:
-        """Effective parameters at the file's beginning, as a ROS parameter file."""
+        """Effective parameters at the file's beginning, as a ROS parameter file. Raises UnicodeDecodeError."""
         return self.attachments[SCENE_NAME].data.decode()
 
     @property
@@ -252,7 +252,7 @@ class SessionPart:
             self._channels[record.id] = record
 
     def channel(self, channel_id: int) -> tuple[str, str] | None:
-        """Return topic and type of a channel; None if its declaration was lost or not yet read."""
+        """Return (topic, type) of a channel id; None if its declaration was lost or not yet read."""
         record = self._channels.get(channel_id)
         schema = None if record is None else self._schemas.get(record.schema_id)
         return None if record is None or schema is None else (record.topic, schema.name)
@@ -388,7 +388,7 @@ class SessionPart:
                 self._report_damage(error)
 
     def _skip_to_next_chunk(self) -> bool:
-        """Skip a record whose length exceeds the file; return True if an intact chunk follows."""
+        """Skip a record whose length exceeds the file, to the next intact chunk; return False without one."""
         if self._position >= self.size():
             return False
         next_chunk = self._search.find(self._position)

@@ -32,7 +32,7 @@ class RecordedCloud:
 
 
 class SessionReader:
-    """Reader of a session as a stream, with one chunk in memory at a time.
+    """Reader of a session's files as a stream, a context manager, with one chunk in memory at a time.
 
     Messages come in the order of recording. Damaged chunks are skipped and reported in `missing`, or raised as
     DamagedSessionError if `strict`. No message of a chunk with a wrong checksum is returned.
@@ -78,7 +78,7 @@ class SessionReader:
 
     @property
     def scene_yaml(self) -> str:
-        """Effective parameters at the first file's snapshot, as a ROS parameter file."""
+        """Effective parameters at the first file's beginning, as a ROS parameter file. Raises UnicodeDecodeError."""
         return self._parts[0].scene_yaml
 
     @property
@@ -173,7 +173,7 @@ def read_frame(message: Message) -> FrameRecord:
 
 
 def pair_clouds(messages: Iterable[Message], node: str) -> Iterator[RecordedCloud]:
-    """Yield the clouds of a node's messages, each with the frame record before it if their publish times are equal."""
+    """Yield a `RecordedCloud` for each cloud, with the frame record before it if their publish times are equal."""
     from cloth_sim_ros.session.cdr import decode_cloud
 
     frame: Message | None = None
@@ -199,7 +199,7 @@ def _check_order(parts: Sequence[SessionPart]) -> None:
 
 
 def session_files(path: Path | str) -> list[Path]:
-    """Return all files of a file's session, in order, as far as they are in the same folder.
+    """Return all files of a file's session in its folder, in order. Raises SessionError if it is not a session.
 
     Raises SessionError if the file is not a session.
     """

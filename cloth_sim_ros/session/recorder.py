@@ -66,12 +66,12 @@ class _Stop:
 
 
 def session_stem(name: str, start: datetime.datetime) -> str:
-    """Return the stem of a session's files, e.g. ``cloth_sim_2026-11-21T05-14-00``."""
+    """Return the stem of a session's files from name and start time, e.g. ``cloth_sim_2026-11-21T05-14-00``."""
     return f"{name}_{start:%Y-%m-%dT%H-%M-%S}"
 
 
 class Recorder:
-    """Recorder of a session from any thread without blocking: `record` and `split` only append to a queue.
+    """Recorder of a session by its own thread: `record` and `split`, from any thread, only append to a queue.
 
     The recorder's thread does all disk work, including the creation of the file. If the disk is too slow, droppable
     messages are dropped and counted; the others are queued in at most ``backlog_bytes`` of memory. A disk error ends

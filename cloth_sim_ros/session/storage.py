@@ -42,7 +42,7 @@ class AppendFile:
         _lock(self._descriptor)
 
     def append(self, parts: Sequence[bytes]) -> None:
-        """Append all bytes. On an error the file keeps none of them, and the error is raised."""
+        """Append the bytes of all parts. On an OSError the file keeps none of them."""
         try:
             for part in parts:
                 view = memoryview(part)

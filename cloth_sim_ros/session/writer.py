@@ -44,7 +44,7 @@ class SessionSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriterOptions:
-    """Options of a session file: compression, chunk size, synchronisation and minimum free space."""
+    """Options of a session file: compression, chunks, synchronisation, minimum free space. Invalid: RecordingError."""
 
     compression: Compression = "lz4"
     chunk_bytes: int = 1 << 20
@@ -66,7 +66,7 @@ class WriterOptions:
 
 
 class SessionWriter:
-    """Writer of one session file, for one thread. Every method may raise OSError or RecordingError.
+    """Writer of one session file, which it creates, for one thread. Methods may raise OSError or RecordingError.
 
     After an error in `add` or `maintain` the file still ends on a whole record. `finish` then completes the file
     without the chunk that could not be written.
@@ -168,7 +168,7 @@ class SessionWriter:
         return min(due) - self._clock() if due else None
 
     def maintain(self) -> None:
-        """Close a chunk that is old enough, and synchronise the file if that is due."""
+        """Close a chunk that is old enough, and synchronise the file if that is due; call it regularly."""
         now = self._clock()
         if self._chunk_since is not None and now - self._chunk_since >= self._options.chunk_seconds:
             self._write_chunk()
@@ -178,7 +178,7 @@ class SessionWriter:
             self._unsynced_since = None
 
     def finish(self, *, reason: str, notes: Mapping[str, str] | None = None) -> None:
-        """Write the last chunk, the end record with the reason, and the indexes; then close the file.
+        """Write last chunk, end record with the reason, and indexes; close the file. A second call does nothing.
 
         After an OSError the file is closed, intact but unfinished.
         """

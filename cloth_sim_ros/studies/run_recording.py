@@ -51,7 +51,7 @@ class _PendingFrame(NamedTuple):
 
 
 class RunRecording:
-    """Session file with the frames of a study's run; methods may raise OSError.
+    """Writer of the session file of a study's run, which it creates; methods may raise OSError.
 
     Args:
         folder: folder of this run alone; the caller moves the complete file.

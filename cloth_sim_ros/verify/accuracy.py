@@ -191,11 +191,11 @@ class _Certifier:
             self._end_window()
 
     def _recorded_positions(self) -> Array | None:
-        """Return the recorded positions, shape (3, n) [m]; None without a cloud."""
+        """Return the last frame's recorded positions, shape (3, n) [m]; None without a cloud."""
         return None if self._recorded is None else self._recorded.T.astype(np.float64)
 
     def _rounding(self) -> float:
-        """Return the unit roundoff of the recorded positions, of single or double precision."""
+        """Return the unit roundoff of the last frame's recorded positions, of single or double precision."""
         return 2.0**-53 if self._recorded is not None and self._recorded.dtype.itemsize == 8 else _FLOAT32
 
     def _advance_session(self, frame: SimulatedFrame) -> ReferenceResult | None:

@@ -150,7 +150,7 @@ class AccuracyWindow:
 
 @attrs.frozen(kw_only=True)
 class Sample:
-    """Comparison of a frame with an independent integrator from the same state."""
+    """Errors of one frame by the certificate and by an independent integrator, from the same state [m]."""
 
     frame: int
     stated: float

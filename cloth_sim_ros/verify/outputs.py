@@ -73,7 +73,7 @@ class CloudCheck:
         self._equivalent_headers: dict[bytes, bytes] = {}
 
     def compare(self, message: Message, simulation: Simulation, stamp: int) -> bool:
-        """Compare a cloud with the last frame, due at a ROS time [ns]; return True if the positions are equal."""
+        """Compare a cloud with the last frame, due at a ROS time [ns]; report; return True if positions are equal."""
         state, fields, differs_by_normals = simulation.state, simulation.scene.points, False
         for points in dict.fromkeys((fields, self._first_fields)):
             encoder = self._encoder(points)

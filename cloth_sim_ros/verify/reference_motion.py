@@ -49,7 +49,7 @@ class SimulatedFrame:
 
 
 class FrameCapture:
-    """Capture of a simulation's frames, so that reference motions follow the same commands."""
+    """Converter of a simulation's frames to `SimulatedFrame`, so that reference motions follow the same commands."""
 
     def __init__(self) -> None:
         self._new: frozenset[int] = frozenset()
