@@ -190,7 +190,10 @@ def _read_csv(
 
 
 def _lines(content: bytes) -> Iterator[str]:
-    """Yield the lines of a text in UTF-8, without a byte order mark. Raises FitError for other bytes."""
+    """Yield the lines of a text in UTF-8, without a byte order mark. Raises FitError for other bytes.
+
+    A list of all lines takes many times the memory of the text.
+    """
     try:
         yield from io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
     except UnicodeDecodeError as error:

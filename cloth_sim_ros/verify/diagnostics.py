@@ -75,7 +75,7 @@ class DiagnosticsCheck:
         self._stopped |= set(frame.stopped)
 
     def next_file(self) -> None:
-        """Begin another file of the session: energy sums are not compared from there on."""
+        """Begin another file of the session, whose energy sums restart: they are not compared from there on."""
         self._from_start = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
