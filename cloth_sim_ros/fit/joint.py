@@ -53,7 +53,7 @@ class Point:
 
 @attrs.define(kw_only=True, eq=False)
 class Derivatives:
-    """Derivatives of the residuals by the logarithms of the parameters."""
+    """Derivatives of the residuals by the parameters' logarithms, listed by recording, parameter and used cloud."""
 
     #: For each selected recording, parameter and used cloud: shape (n, d) [m].
     slopes: list[list[list[Array]]]

@@ -163,7 +163,7 @@ def pooled_score(scores: Sequence[Score]) -> Score | None:
 
 
 def excess_misfit(models: Sequence[Score], floors: Sequence[Score]) -> float | None:
-    """Return the cloth's error beyond the floor, a root mean square [m]; None if chance may explain it.
+    """Return the cloth's error beyond the floor, a root mean square [m]; None if chance explains it or motions are few.
 
     Each motion is one observation of the difference of the mean squares. None stands for a difference that chance would
     exceed in one of a hundred fits of a right model, or for fewer than `MIN_MOTIONS` motions.

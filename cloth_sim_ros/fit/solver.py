@@ -39,7 +39,7 @@ MIN_SIGMA = 1e-8
 
 @attrs.define(kw_only=True)
 class Linearization:
-    """Residuals and their first and second differences by the parameters' logarithms, at one point."""
+    """Residuals r (n,) and their first and second differences (p, n) by the parameters' logarithms, at one point."""
 
     #: Logarithms of the parameters, shape (p,).
     theta: Array

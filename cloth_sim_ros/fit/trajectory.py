@@ -30,7 +30,7 @@ WARM_SETTLE_TIME = 1.5
 
 @attrs.frozen(kw_only=True, eq=False)
 class SimulatedMotion:
-    """Simulated positions and velocities at the frames near the clouds, for any time offset."""
+    """Positions [m] and velocities [m/s], (frames, particles, 3), of a simulation at the frames near the clouds."""
 
     #: Indices of the frames, ascending, shape (frames,); 0 is the start.
     frames: NDArray[np.int64]

@@ -16,7 +16,7 @@ SIM_TIME, ROS_TIME, FRAME = "simulated time", "ros time", "frame"
 
 
 class Moment(NamedTuple):
-    """Simulated time, ROS time and frame index of a row, on Rerun's three timelines."""
+    """Simulated time [s], ROS time [ns] and frame index of a row, on Rerun's three timelines."""
 
     sim_time: float
     """Simulated time [s]."""

@@ -48,7 +48,7 @@ class ViewerError(Exception):
 
 
 class Viewer(NamedTuple):
-    """Process of a running Rerun viewer, and its address."""
+    """Process of a running Rerun viewer, and its address for recordings."""
 
     process: subprocess.Popen[bytes]
     address: str

@@ -58,7 +58,7 @@ _MAX_PROBED_MESSAGES = 1000
 
 
 class Message(NamedTuple):
-    """Recorded message with its topic, type, times and index on the topic."""
+    """Recorded message: topic, type, CDR bytes, log and publish time [ns], and index on the topic."""
 
     topic: str
     type_name: str
@@ -138,7 +138,7 @@ class SessionPart:
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Contents of the files that parameters name, by that name."""
+        """Contents (bytes) of the files that parameters name, such as a mesh, by that name."""
         return {
             name.removeprefix(FILE_PREFIX): attachment.data
             for name, attachment in self.attachments.items()
@@ -191,7 +191,7 @@ class SessionPart:
         return is_being_written(self._file.fileno())
 
     def rewind(self) -> None:
-        """Go back to the first chunk and clear the reported damage."""
+        """Go back to the first chunk and clear the damage that was reported while reading."""
         self._position = self._data_start
         self._at_end = False
         self._damage: list[str] = []

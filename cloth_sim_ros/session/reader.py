@@ -88,7 +88,7 @@ class SessionReader:
 
     @property
     def files(self) -> Mapping[str, bytes]:
-        """Contents of the files that parameters name, by that name."""
+        """Contents (bytes) of the files that parameters name, such as a mesh, by that name."""
         return self._parts[0].files
 
     @property

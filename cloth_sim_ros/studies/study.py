@@ -67,7 +67,7 @@ class Study:
 
     @classmethod
     def from_json(cls, text: str, files: Mapping[str, bytes]) -> Study:
-        """Return a study from the text of `to_json` and the contents of its files. Raises StudyError for a version."""
+        """Return a study from the text of `to_json` and the contents of its files. Raises StudyError."""
         content = plain_json.loads(text, max_length=input_file.MAX_TEXT)
         if content.pop("version", None) != VERSION:
             raise StudyError(f"the study's version is not {VERSION}; use the package version that wrote it")

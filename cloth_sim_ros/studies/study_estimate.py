@@ -28,7 +28,7 @@ _MAX_TRIALS = 8
 
 @attrs.frozen(kw_only=True)
 class StudyEstimate:
-    """Estimated cost of a run: wall time [s], bytes and frames."""
+    """Estimated cost of a run: wall time [s] on one core, size [bytes] and number of frames."""
 
     #: Wall time of one run on one core [s].
     seconds_per_run: float

@@ -38,7 +38,7 @@ class FunctionSource:
 
 @attrs.frozen(kw_only=True)
 class Observation:
-    """Observation that a user's policy receives at the beginning of a frame."""
+    """Observation of a frame's beginning for a user's policy: time, particles, wrenches, values, generator."""
 
     #: Simulated time [s].
     time: float

@@ -39,7 +39,7 @@ UNIT_ROUNDOFF = 2.0**-53
 
 
 class MotionState(NamedTuple):
-    """Positions, velocities and state memory of a motion at one time."""
+    """Positions x [m], velocities v [m/s], shape (3, n) each, and state memory of a motion at one time."""
 
     #: Positions [m] and velocities [m/s], shape (3, n) each.
     x: Array

@@ -111,7 +111,7 @@ _MOTION_KEYS = (ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY)
 
 
 class ReferenceMotion:
-    """Motion under the simulation's commands, from a given state.
+    """Motion from a given state under the simulation's commands; callers integrate its `state` frame by frame.
 
     The simulation decides the particles that a gripper grasps. The grip points follow from their positions in this
     motion.

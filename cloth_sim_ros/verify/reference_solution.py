@@ -130,7 +130,7 @@ def random_perturbation(x: Array, free: np.ndarray, random: np.random.Generator,
 
 
 def reference_positions(equations: Equations, frame: SimulatedFrame, state: State) -> Array:
-    """Return positions (3, n) [m] at a frame's end, by the reference integrator from a state at its beginning."""
+    """Integrate a frame by the reference integrator from a state at its start; return end positions (3, n) [m]."""
     motion = ReferenceMotion(state)
     motion.apply_grasps(frame)
     plan = equations.plan(frame, motion)
