@@ -143,7 +143,7 @@ def prepare_state(state: State) -> State:
 
 
 def check_recording(recording: FitRecording, parameter_names: Sequence[str], *, min_clouds: int = MIN_CLOUDS) -> None:
-    """Raise FitError for a recording with too few or too many clouds, or not of the scene's cloth.
+    """Raise FitError for too few or too many clouds, clouds of another cloth, or parameters that changed meanwhile.
 
     Args:
         recording: clouds and scene.

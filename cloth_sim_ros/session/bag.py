@@ -77,7 +77,7 @@ def is_snapshot(topic: str, type_name: str) -> bool:
 
 
 def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
-    """Yield (topic, type, log time [ns], CDR bytes) of a bag file's `cdr` messages, in file order. Raises SessionError.
+    """Yield (topic, type, log time [ns], CDR bytes) of a bag file's `cdr` messages, as recorded. Raises SessionError.
 
     A file that ends with .db3 is SQLite, one that ends with .bag is a bag of ROS 1, any other one is MCAP.
 

@@ -79,7 +79,7 @@ class DiagnosticsCheck:
         self._from_start = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
-        """Compare a diagnostics message with the simulation after the last frame; report the first difference."""
+        """Compare a diagnostics message with the simulation after the last frame; report differences."""
         try:
             content = decode(message.data, TYPE)
         except SessionError as error:
