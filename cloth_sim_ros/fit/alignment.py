@@ -67,7 +67,7 @@ def rotation_of(vector: Sequence[float]) -> Array:
 
 
 def rotation_vector(matrix: Array) -> tuple[float, ...]:
-    """Return the rotation vector [rad] of a rotation matrix, for angles below pi."""
+    """Return the rotation vector [rad], 3 numbers, of a rotation matrix (3, 3), for angles below pi."""
     axis = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2.0
     sine, cosine = float(np.linalg.norm(axis)), (float(np.trace(matrix)) - 1.0) / 2.0
     return tuple((axis * (math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0)).tolist())
@@ -108,7 +108,7 @@ class AlignmentModel:
         return [self.columns(k)[1] for k in range(self.n_recordings)]
 
     def columns(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return which of the seven unknowns a recording has, and their indices in the vector of all unknowns.
+        """Return two arrays: a recording's components (0 to 6), and their indices in the vector of all unknowns.
 
         Component 0 is the time offset, 1 to 3 are the rotation, 4 to 6 the shift.
         """
@@ -132,7 +132,7 @@ class AlignmentModel:
             sigmas[places] = np.array(PRIOR_SIGMAS)[components]
         return sigmas
 
-    def is_shared(self) -> NDArray[np.bool_]:
+    def shared_mask(self) -> NDArray[np.bool_]:
         """Return a mask of the unknowns that several recordings share, shape (unknowns,)."""
         counts = np.zeros(self.n_unknowns, dtype=np.int64)
         for k in range(self.n_recordings):
@@ -140,19 +140,19 @@ class AlignmentModel:
         return counts > 1
 
     def alignment(self, unknowns: Array, index: int) -> Alignment:
-        """Return the time offset and the camera pose of a recording from the vector of all unknowns."""
+        """Return one recording's time offset and camera pose, read from the vector of all unknowns."""
         components, places = self.columns(index)
         numbers = np.zeros(7)
         numbers[components] = unknowns[places]
         return Alignment(offset=float(numbers[0]), rotation=tuple(numbers[1:4]), shift=tuple(numbers[4:]))
 
     def write_alignment(self, unknowns: Array, index: int, alignment: Alignment) -> None:
-        """Write the time offset and the camera pose of a recording into the vector of all unknowns."""
+        """Write a recording's time offset and camera pose into the vector of all unknowns, in place."""
         components, places = self.columns(index)
         unknowns[places] = np.array([alignment.offset, *alignment.rotation, *alignment.shift])[components]
 
     def clamp(self, unknowns: Array, offsets: tuple[float, float]) -> Array:
-        """Return the vector of unknowns with its time offsets clamped to two limits [s]."""
+        """Return a copy of the vector of unknowns with its time offsets clamped to (smallest, largest) [s]."""
         clamped = unknowns.copy()
         for k in range(self.n_recordings):
             components, places = self.columns(k)
@@ -164,7 +164,7 @@ class AlignmentModel:
 def cloud_residuals(
     recording: FitRecording, trajectory: SimulatedMotion, alignment: Alignment, pivot: Array, clouds: NDArray[np.int64]
 ) -> list[Array]:
-    """Return the residuals of some clouds of a recording [m]: measured minus simulated points.
+    """Return measured minus simulated points of some clouds [m], an array (n, 3), or (n, 1) of bare points, for each.
 
     A matched cloud gives a vector per visible particle, shape (n, 3). Bare points give distances, shape (n, 1).
 
@@ -229,7 +229,7 @@ def search_alignment(
     model: AlignmentModel,
     offsets: tuple[float, float],
 ) -> tuple[Alignment, float]:
-    """Return the best alignment that some recordings share, by a grid of time offsets, and its mean distance [m].
+    """Return the alignment that fits all given recordings best, by a grid of time offsets, and its mean distance [m].
 
     Each time offset on a grid has its best camera pose in closed form. The cost is the mean of the points' distances
     after it. Bare points give no pose: their mean distance from the surface decides on the offset alone.
@@ -259,7 +259,7 @@ def search_alignment(
 
 
 def _register(x: Array, y: Array, offset: float, model: AlignmentModel) -> tuple[float, Alignment]:
-    """Return the mean distance [m] after a robust rigid registration of points x to y, and its camera pose."""
+    """Return (mean distance [m], alignment) after a robust rigid registration of points x to y."""
     pivot, weights = np.array(model.pivot), np.ones(len(x))
     turn, shift = np.eye(3), np.zeros(3)
     for _ in range(4):

@@ -29,7 +29,7 @@ _FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8
 
 
 def is_session(path: Path) -> bool:
-    """Return true if a file is a session of this package, intact or damaged; false for any other recording.
+    """Return True for a session of this package, False for any other recording. Raises SessionError if it is damaged.
 
     Raises:
         SessionError: if the file can't be read.
@@ -62,7 +62,7 @@ def read_bag(
     columns: Mapping[str, str] | None = None,
     scale: float = 1.0,
 ) -> FitRecording:
-    """Read clouds and gripper poses of a bag as a recording for a fit; the cloth hangs at rest at the first cloud.
+    """Read a bag or table for a fit of a cloth that hangs at rest at the first used cloud. Raises FitError.
 
     Args:
         paths: as for `read_recording`, and so are `topic`, `poses`, `matched`, `index_field`, `columns` and `scale`.
@@ -79,6 +79,7 @@ def read_bag(
 
     Raises:
         FitError: if the recording is unusable; the text names cause and remedy.
+        SessionError: if a file can't be read.
     """
     recording = read_recording(
         paths,
@@ -106,7 +107,7 @@ def read_recording(
     camera_pose: Sequence[float] | None = None,
     offsets: Mapping[str, Sequence[float]] | None = None,
 ) -> Recording:
-    """Read clouds and gripper poses; times count from the first cloud.
+    """Read clouds and gripper poses of a bag or table; times count from the first cloud. Raises FitError.
 
     Args:
         paths: files or folder of one bag (MCAP, SQLite, ROS 1), or one table (CSV, npz).
@@ -126,6 +127,7 @@ def read_recording(
 
     Raises:
         FitError: if the recording is unusable; the text names cause and remedy.
+        SessionError: if a file can't be read.
     """
     for option, names in (("--pose", poses or {}), ("--offset", offsets or {})):
         unknown = [name for name in names if name not in scene.gripper_names]
@@ -260,7 +262,7 @@ def _read_track(
     start: int,
     scale: float,
 ) -> RecordedGripper:
-    """Return the recorded poses and grasps of a gripper; its times count from `start` [ns]."""
+    """Return a gripper's recorded poses and grasps; times count from `start` [ns]. Raises FitError without poses."""
     if requested is not None and tables.is_table(Path(requested)):
         return tables.read_track(Path(requested), 1e-9 * start, scale=scale)
     from cloth_sim_ros.session.cdr import decode
@@ -345,7 +347,7 @@ def _read_cloud(
 
 
 def _order_points(points: NDArray[np.float64], indices: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Return a row for each of `count` particles, NaN without a point; `indices` has the particle of each point."""
+    """Return a row for each of `count` particles, NaN without a point. `indices`: particle of each point."""
     particles = np.asarray(indices, dtype=np.int64)
     n_points = np.bincount(particles, minlength=count)
     if n_points.max(initial=0) > 1:

@@ -21,7 +21,7 @@ _MAX_VARIANCE = 100.0
 
 @attrs.frozen(kw_only=True, eq=False)
 class Covariance:
-    """Covariance of the fitted parameters' logarithms, and standard deviations of parameters and alignment."""
+    """Covariance of the fitted parameters' logarithms; standard deviations of these and of the alignment's unknowns."""
 
     #: Shape (p, p).
     matrix: Array
@@ -38,7 +38,7 @@ class Covariance:
 
 
 def jackknife_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
-    """Return the covariance of the parameters' logarithms by leaving out each motion in turn (jackknife).
+    """Return the covariance of the parameters' logarithms by leaving out each of the `selected` motions in turn.
 
     Motions are independent; clouds of a motion may be correlated in any way, and the model may be wrong. Unknowns
     of one motion alone are eliminated before. Deviations are infinite of parameters about which the clouds say nothing
@@ -74,7 +74,7 @@ def jackknife_covariance(problem: JointProblem, solution: JointSolution, selecte
 
 
 def effective_freedoms(information: Array, total: Array, n_parameters: int) -> Array:
-    """Return the degrees of freedom of each parameter's jackknife variance, by Satterthwaite's moments.
+    """Return the degrees of freedom of each parameter's jackknife variance, (p,), by Satterthwaite's moments.
 
     They are one less than the motions if all motions inform alike, and fewer if some dominate.
 
@@ -97,7 +97,7 @@ def effective_freedoms(information: Array, total: Array, n_parameters: int) -> A
 
 
 def noise_covariance(problem: JointProblem, solution: JointSolution, selected: Sequence[int]) -> Covariance:
-    """Return the inverse information: the covariance if the model is right and clouds are independent."""
+    """Return the inverse information as covariance: right if the model is, and clouds are independent."""
     prior_information, _ = problem.prior(solution.point)
     p = len(problem.parameters)
     total = solution.equations.information.sum(axis=0) + np.diag(_weak_prior(prior_information, p))
@@ -134,7 +134,7 @@ def _reduced_equations(
         Information (motions, n, n), gradient (motions, n), indices of the n kept unknowns, and of the eliminated ones.
     """
     p = len(problem.parameters)
-    is_shared = np.concatenate([np.ones(p, dtype=bool), problem.alignment.is_shared()])
+    is_shared = np.concatenate([np.ones(p, dtype=bool), problem.alignment.shared_mask()])
     equations, (prior_information, prior_gradient) = solution.equations, problem.prior(solution.point)
     keep, alone = np.flatnonzero(is_shared), np.flatnonzero(~is_shared)
     information, gradient = equations.information[:, keep[:, None], keep], equations.gradient[:, keep]

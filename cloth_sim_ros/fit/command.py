@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_fit` and return its exit status."""
+    """Run the command `cloth_fit` (its entry point); return its exit status, 130 after an interruption."""
     return run_command("cloth_fit", "cloth_sim_ros.fit.main", arguments)

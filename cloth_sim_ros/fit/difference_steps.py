@@ -35,7 +35,7 @@ class DifferenceSteps:
         return cls(steps=np.full(p, MAX_STEP), min_steps=np.zeros(p), is_rough=False)
 
     def next_steps(self, derivatives: Derivatives, sigmas: Array) -> DifferenceSteps:
-        """Return the steps after a linearization.
+        """Return the steps for the next linearization, from the result of the last one.
 
         Short waves of two linearizations are independent if their steps differ.
 
@@ -52,5 +52,5 @@ class DifferenceSteps:
 
 
 def step_bounds(sigmas: Array) -> Array:
-    """Return standard deviations of logarithms within the limits of difference steps, shape (p,)."""
+    """Return standard deviations of logarithms, clipped to the limits of difference steps (0.02 to 0.1), shape (p,)."""
     return np.clip(sigmas, MIN_STEP, MAX_STEP)

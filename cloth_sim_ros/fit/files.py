@@ -24,7 +24,7 @@ from cloth_sim_ros.session.output_files import atomic_write
 
 
 def write_json(fit: Fit, path: Path) -> None:
-    """Write all numbers of a fit as JSON; numbers that are not finite are null."""
+    """Write all numbers of a fit to a JSON file; numbers that are not finite are null. Raises OSError."""
     content: dict[str, Any] = {
         "name": fit.name,
         "all_identified": fit.all_identified,
@@ -83,7 +83,7 @@ def confounded_entry(direction: ConfoundedDirection) -> dict[str, Any]:
 
 
 def write_parameters(fit: Fit | MotionFit, path: Path) -> list[str]:
-    """Write the scene with the identified parameters as a ROS parameter file.
+    """Write the scene with the identified parameters as a ROS parameter file; return their full names.
 
     Other parameters keep the scene's values.
 
@@ -109,7 +109,7 @@ def write_parameters(fit: Fit | MotionFit, path: Path) -> list[str]:
 
 
 def write_plot(fit: Fit, path: Path) -> None:
-    """Plot the residuals over time, before and after the fit, and their distribution."""
+    """Write a PNG of the residuals over time, before and after the fit, and of their distribution."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -149,7 +149,7 @@ def write_plot(fit: Fit, path: Path) -> None:
 
 
 def finite_or_none(value: Any) -> Any:
-    """Return a JSON tree in which None replaces the numbers that are not finite."""
+    """Return a copy of a JSON tree in which None replaces the numbers that are not finite."""
     if isinstance(value, dict):
         return {key: finite_or_none(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

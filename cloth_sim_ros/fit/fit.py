@@ -156,7 +156,7 @@ def fit(
     workers: int | None = None,
     on_progress: Callable[[int], None] = lambda _runs: None,
 ) -> Fit:
-    """Fit parameters by least squares between the simulated cloth and the clouds.
+    """Fit parameters to one recording, simulating in worker processes; return a `Fit`. Raises FitError.
 
     Args:
         recording: commands and clouds, see `fit_recording`.
@@ -246,7 +246,7 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
 
 
 def _doubt(problem: FitProblem, run: FitRun, rms: float) -> str:
-    """Return a reason to distrust a fit's standard deviations, or ""; may simulate the recording once more."""
+    """Return a reason to distrust a fit's standard deviations, or ""; simulates the recording unless noise decides."""
     if problem.sigma is not None and rms > MISFIT_RATIO * problem.sigma:
         return (
             f"the residuals are {rms / problem.sigma:.1f} times the deviation that --sigma gives: the model does not "
@@ -270,7 +270,7 @@ def _rms_by_cloud(r: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray
 
 
 def fitted_positions(fit: Fit) -> NDArray[np.float64]:
-    """Return the fitted cloth's positions at the times of the used clouds [m], shape (clouds, particles, 3)."""
+    """Simulate the fitted cloth; return its positions at the used clouds [m], shape (clouds, particles, 3)."""
     parameters = [estimate.parameter for estimate in fit.estimates]
     run = FitRun(values=tuple(fit.values.values()), n_clouds=fit.n_clouds, tolerance=fit.tolerance)
     return simulate(fit.recording, parameters, run)

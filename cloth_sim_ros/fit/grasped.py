@@ -60,7 +60,7 @@ class _LocalPositions:
 
 
 def parse_grasped(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
-    """Return the particle indices that a text such as ``12,13`` or ``top_left`` names.
+    """Return the particle indices that a text such as ``12,13`` or ``top_left`` names. Raises FitError for other names.
 
     Raises:
         FitError: if a name is no particle, edge or corner.
@@ -84,7 +84,7 @@ def parse_grasped(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
 def find_grasped(
     scene: Scene, gripper: str, clouds: Sequence[Array], poses: Sequence[Sequence[float]], known: Sequence[int] = ()
 ) -> tuple[GraspedParticles, Array]:
-    """Return the particles that a closed gripper grasps, by its poses, and all positions in its frame [m], (n, 3).
+    """Return the particles that a closed gripper grasps, and all positions in its frame [m], (n, 3). Raises FitError.
 
     A hidden particle's position is extrapolated from its visible neighbours by a linear least-squares map of the rest
     shape. The gripper holds the particle nearest to its origin, and those within `gripper.radius` of it in the rest
@@ -136,7 +136,7 @@ def find_grasped(
 def find_grasped_at_rest(
     scene: Scene, gripper: str, position: Sequence[float], known: Sequence[int] = ()
 ) -> GraspedParticles:
-    """Return the particles that a closed gripper grasps in the scene's initial shape, for clouds of bare points.
+    """Return the particles that a gripper at `position` [m] grasps in the scene's initial shape. Raises FitError.
 
     Raises:
         FitError: if a second particle is less than twice as far away.
@@ -266,7 +266,7 @@ def _extrapolate_position(rest_shape: Array, local_positions: _LocalPositions, p
 
 
 def extrapolate_cloud(rest_shape: Array, cloud: Array) -> Array:
-    """Return the positions of all particles of a cloud [m]; hidden ones are extrapolated from their neighbours."""
+    """Return a cloud's positions [m], (n, 3), with hidden particles (NaN) extrapolated from their neighbours."""
     seen = np.isfinite(cloud).all(axis=1)
     local_positions = _LocalPositions(mean=cloud, n_seen=np.asarray(seen, dtype=np.int64), noise=0.0)
     positions = cloud.copy()
@@ -276,7 +276,7 @@ def extrapolate_cloud(rest_shape: Array, cloud: Array) -> Array:
 
 
 def particles_within(rest_shape: Array, first: int, radius: float) -> tuple[int, ...]:
-    """Return a particle and those within a radius [m] of it in the rest shape, the nearest first."""
+    """Return the indices of a particle and of those within a radius [m] of it in the rest shape, the nearest first."""
     distances = np.linalg.norm(rest_shape - rest_shape[first], axis=1)
     order = np.argsort(distances, kind="stable")
     return tuple(int(k) for k in order if distances[k] <= radius)
@@ -301,7 +301,7 @@ def _corners(scene: Scene) -> Iterator[tuple[str, int]]:
 
 
 def parse_all_grasped(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
-    """Return particle indices by gripper from texts such as ``12,13`` or ``top_left``.
+    """Return particle indices by gripper from texts such as ``12,13`` or ``top_left``. Raises FitError.
 
     Raises:
         FitError: if a gripper or particle is unknown, or two grippers hold the same particle.
@@ -314,20 +314,16 @@ def parse_all_grasped(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple
     if pinching:
         raise FitError(f"--held names '{pinching[0]}', a pinching gripper; its pads hold the cloth between them")
     particles = {name: parse_grasped(scene, name, text) for name, text in texts.items()}
-    _check_distinct(particles)
+    _check_no_common_particle(particles)
     return particles
 
 
-def check_distinct(grippers: Sequence[GraspedParticles]) -> None:
-    """Refuse two grippers that hold the same particle.
-
-    Raises:
-        FitError: if two grippers share a particle; the text names both.
-    """
-    _check_distinct({gripper.gripper: gripper.particles for gripper in grippers})
+def check_no_common_particle(grippers: Sequence[GraspedParticles]) -> None:
+    """Raise FitError, with both names, if two grippers hold the same particle."""
+    _check_no_common_particle({gripper.gripper: gripper.particles for gripper in grippers})
 
 
-def _check_distinct(particles_by_gripper: Mapping[str, Sequence[int]]) -> None:
+def _check_no_common_particle(particles_by_gripper: Mapping[str, Sequence[int]]) -> None:
     gripper_of: dict[int, str] = {}
     for name, particles in particles_by_gripper.items():
         for particle in particles:

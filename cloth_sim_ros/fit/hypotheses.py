@@ -72,7 +72,7 @@ class GraspChoice:
 
     @property
     def best(self) -> Hypothesis:
-        """The chosen combination."""
+        """The chosen combination, the first of `hypotheses`."""
         return self.hypotheses[0]
 
     @property
@@ -96,7 +96,7 @@ class GraspChoice:
 
 
 def selections(particles: Mapping[str, tuple[int, ...]], *, is_named: bool = False) -> list[GraspedParticles]:
-    """Return the particles of each gripper as `GraspedParticles`, without distances."""
+    """Return a `GraspedParticles` for each gripper from particles by gripper, without distances."""
     return [
         GraspedParticles(
             gripper=name,
@@ -114,7 +114,7 @@ def selections(particles: Mapping[str, tuple[int, ...]], *, is_named: bool = Fal
 def plausible_particles(
     recordings: Sequence[Recording], scene: Scene, named: Mapping[str, tuple[int, ...]], max_offset: float
 ) -> list[dict[str, tuple[int, ...]]]:
-    """Return the combinations of particles that the grippers may hold by the first clouds, the likeliest first.
+    """Return combinations of particles (by gripper) that the first clouds allow, the likeliest first. Raises FitError.
 
     A particle is plausible if it is near the gripper in the first clouds, wherever a poor camera pose puts them. The
     distances between the grippers rank the combinations.

@@ -59,7 +59,7 @@ def confounded_directions(
 
 
 def correlation(recording: FitRecording, r: Array, n_clouds: int) -> float:
-    """Return the correlation between a particle's residuals in successive clouds; 0 for bare points."""
+    """Return the correlation of a particle's residuals in successive clouds, from 0 to 0.99; 0 for bare points."""
     if not recording.matched or not r.size:
         return 0.0
     offset = 0

@@ -53,7 +53,7 @@ class Point:
 
 @attrs.define(kw_only=True, eq=False)
 class Derivatives:
-    """Derivatives of the residuals by the logarithms of the parameters."""
+    """Derivatives of the residuals by the parameters' logarithms, listed by recording, parameter and used cloud."""
 
     #: For each selected recording, parameter and used cloud: shape (n, d) [m].
     slopes: list[list[list[Array]]]
@@ -134,7 +134,7 @@ class JointProblem:
         rest_states: Sequence[State | None] | None = None,
         are_at_rest: Sequence[bool] | None = None,
     ) -> list[SimulatedMotion | str]:
-        """Simulate recordings in parallel; return the motion of each pair (recording's index, parameters' logarithms).
+        """Simulate (index of recording, logarithms) pairs in parallel; return each motion, or its error's text.
 
         Args:
             jobs: the pairs.
@@ -161,12 +161,12 @@ class JointProblem:
         return results
 
     def residuals(self, index: int, trajectory: SimulatedMotion, eta: Array) -> list[Array]:
-        """Return the residuals of the used clouds of one recording [m], by its simulated motion and alignment."""
+        """Return the residuals of one recording's used clouds, an array (n, d) [m] for each, without simulating."""
         alignment = self.alignment.alignment(eta, index)
         return cloud_residuals(self.recordings[index], trajectory, alignment, self.pivot, self.used[index])
 
     def evaluate(self, theta: Array, eta: Array, selected: Sequence[int], tolerance: float) -> Point | str:
-        """Simulate the selected recordings at a point; return it with its residuals, or the text of an error."""
+        """Simulate recordings at a point, and store new rest states; return it with residuals, or an error's text."""
         cold = [k for k in selected if k not in self.rest_states]
         results = self.simulate([(k, theta) for k in selected], tolerance)
         trajectories = []
@@ -179,8 +179,8 @@ class JointProblem:
         residuals = [self.residuals(k, t, eta) for k, t in zip(selected, trajectories, strict=True)]
         return Point(theta=theta, eta=eta, trajectories=trajectories, residuals=residuals)
 
-    def settle_again(self, point: Point, selected: Sequence[int]) -> None:
-        """Replace the states from which later simulations settle by the rest states of a point."""
+    def replace_rest_states(self, point: Point, selected: Sequence[int]) -> None:
+        """Store a point's rest states in `rest_states`; later simulations settle from them. Simulates nothing."""
         for k, trajectory in zip(selected, point.trajectories, strict=True):
             if trajectory.rest_state is not None:
                 self.rest_states[k] = trajectory.rest_state
@@ -188,7 +188,7 @@ class JointProblem:
     def differentiate(
         self, point: Point, selected: Sequence[int], steps: Array, tolerance: float, *, central: bool
     ) -> Derivatives:
-        """Return difference quotients of the residuals by the parameters' logarithms, by simulations.
+        """Return difference quotients of the residuals by the logarithms, from simulations. Raises FitError.
 
         Raises:
             FitError: if a simulation at a neighbouring point fails.
@@ -236,8 +236,8 @@ class JointProblem:
                 curvatures[-1].append([0.5 * (a + b) - c for a, b, c in zip(up, down, base, strict=True)])
         return Derivatives(slopes=slopes, curvatures=curvatures, steps=steps)
 
-    def clouds(self, point: Point, selected: Sequence[int]) -> list[tuple[Array, Array]]:
-        """Return residuals and smooth modes, restricted to its visible points, of each used cloud."""
+    def residuals_and_modes(self, point: Point, selected: Sequence[int]) -> list[tuple[Array, Array]]:
+        """Return, for each used cloud with points, its residuals (n, d) [m] and smooth modes (n, modes) there."""
         pairs = []
         for k, residuals in zip(selected, point.residuals, strict=True):
             for cloud, r in zip(self.used[k], residuals, strict=True):
@@ -267,14 +267,14 @@ class JointProblem:
         self, noise: NoiseModel, point: Point, selected: Sequence[int], steps: int = _NOISE_STEPS
     ) -> NoiseModel:
         """Return the noise model after some steps of its estimation (expectation-maximization)."""
-        clouds = self.clouds(point, selected)
+        clouds = self.residuals_and_modes(point, selected)
         for _ in range(steps):
             noise = noise.updated(clouds)
         return noise
 
     def loss(self, point: Point, selected: Sequence[int], noise: NoiseModel) -> float:
         """Return the robust loss of all used clouds plus that of the prior, without unit."""
-        total = sum(noise.weigh(r, modes).loss for r, modes in self.clouds(point, selected))
+        total = sum(noise.weigh(r, modes).loss for r, modes in self.residuals_and_modes(point, selected))
         distance = (point.theta - self.start) / PRIOR_SIGMA
         aligned = point.eta / self.alignment.prior_sigmas()
         return float(total + 0.5 * distance @ distance + 0.5 * aligned @ aligned)
@@ -373,7 +373,7 @@ def solve_joint(
     chord: bool = False,
     converged_fraction: float = _CONVERGED_FRACTION,
 ) -> JointSolution:
-    """Minimize the loss from a point on, by Gauss-Newton steps with a line search; return the solution.
+    """Minimize the loss from a point on, by Gauss-Newton and line search; return the solution. Raises FitError.
 
     Args:
         problem: recordings and unknowns.
@@ -393,7 +393,7 @@ def solve_joint(
         FitError: if a simulation near the result fails.
     """
     # All simulations of this search settle from the same rest states, else differences would contain their change.
-    problem.settle_again(point, selected)
+    problem.replace_rest_states(point, selected)
     start = problem.evaluate(point.theta, point.eta, selected, tolerance)
     point = point if isinstance(start, str) else start
     if derivatives is None:

@@ -37,7 +37,7 @@ _DESCRIPTION = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_fit`: read recordings, fit, report and write the results; return the exit status."""
+    """Run `cloth_fit`: fit, report, write files; return 0 if all parameters are identified, 1 if not, 2 or 130."""
     escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)
@@ -189,7 +189,7 @@ def _fit(options: argparse.Namespace) -> Fit | MotionFit:
 def _prepare_fit(
     options: argparse.Namespace, names: Sequence[str], start: dict[str, float]
 ) -> Callable[[Callable[[int], Any]], Fit | MotionFit]:
-    """Read the recordings; return the function that fits them and calls back with its progress."""
+    """Read the recordings; return the function that fits them, given a callback for its progress. Raises FitError."""
     from cloth_sim_ros.fit.bag import is_session
     from cloth_sim_ros.fit.parameters import FitError
     from cloth_sim_ros.scene.scene import Scene
@@ -225,7 +225,7 @@ def _prepare_fit(
 def _prepare_real(
     options: argparse.Namespace, scene: Scene | None, names: Sequence[str], settings: dict[str, Any]
 ) -> Callable[[Callable[[int], Any]], MotionFit]:
-    """Read the recordings of a real cloth; return the function that fits them and calls back with its progress."""
+    """Read a real cloth's recordings; return the function that fits them, given a callback for its progress."""
     from cloth_sim_ros.fit.bag import read_recording
     from cloth_sim_ros.fit.parameters import FitError
     from cloth_sim_ros.fit.real import fit_real
@@ -272,7 +272,7 @@ def _prepare_real(
 
 
 def grasped_of_groups(held: dict[str, str], paths: Sequence[Path]) -> dict[str, str] | list[dict[str, str]]:
-    """Return grasped particles by gripper; a list by file if a name has a file, such as ``swing_2:left``."""
+    """Return grasped particles by gripper; a list by file if a name has a file (``swing_2:left``). Raises FitError."""
     from cloth_sim_ros.fit.parameters import FitError
 
     common = {name: text for name, text in held.items() if ":" not in name}

@@ -25,7 +25,7 @@ _POSE_FIELDS = (("position", "orientation"), ("translation", "rotation"))
 
 
 def split_topic(text: str) -> tuple[str, str]:
-    """Split `TOPIC:FIELD` into topic and field of its messages; the field is empty for a topic alone.
+    """Split `TOPIC:FIELD` into topic and field, empty for a topic alone. Raises FitError for an invalid field.
 
     Raises:
         FitError: for a field that is not written so.
@@ -37,7 +37,7 @@ def split_topic(text: str) -> tuple[str, str]:
 
 
 def check_field(field: str) -> None:
-    """Refuse a text that does not name a field of a message, such as `markers[].pose.position`.
+    """Raise FitError unless a text names a field of a message, such as `markers[].pose.position`.
 
     Raises:
         FitError: naming the form.
@@ -48,7 +48,7 @@ def check_field(field: str) -> None:
 
 
 def topic_messages(paths: Sequence[Path], topic: str) -> Iterator[tuple[int, Any]]:
-    """Yield log time [ns] and message of one topic of a bag, decoded by the definitions in the bag.
+    """Yield log time [ns] and decoded message of a bag's topic. Raises FitError if it is absent, or SessionError.
 
     Args:
         paths: files of one bag of ROS 1 or ROS 2, or its folder.
@@ -79,8 +79,8 @@ def topic_messages(paths: Sequence[Path], topic: str) -> Iterator[tuple[int, Any
             raise SessionError(f"{path} can't be read as a bag: {error}") from error
 
 
-def select(message: Any, field: str) -> list[Any]:
-    """Return the values of a message's field, one for each element of the arrays on the way to it.
+def field_values(message: Any, field: str) -> list[Any]:
+    """Return the values of a message's field, a list over the elements of its arrays. Raises FitError if it is absent.
 
     Raises:
         FitError: if the message has no such field.
@@ -109,7 +109,7 @@ def _elements(value: Any, field: str) -> list[Any]:
 
 
 def points_of(message: Any, field: str) -> Array:
-    """Return the points that a message's field holds [m], shape (count, 3).
+    """Return the points in a message's field [m], shape (count, 3). Raises FitError if it holds none.
 
     Its values are objects with x, y and z, or arrays of numbers, three for each point. Of three fields, each has one
     coordinate of all points.
@@ -124,7 +124,7 @@ def points_of(message: Any, field: str) -> Array:
             raise FitError(f"fields '{field}' hold {sizes} numbers; each point has one in every field")
         return np.stack(columns, axis=1)
     rows: list[list[float]] = []
-    for value in select(message, field):
+    for value in field_values(message, field):
         if all(hasattr(value, axis) for axis in "xyz"):
             rows.append([float(value.x), float(value.y), float(value.z)])
             continue
@@ -141,18 +141,20 @@ def points_of(message: Any, field: str) -> Array:
 def _numbers(message: Any, field: str) -> Array:
     """Return all numbers that a message's field holds, shape (count,)."""
     try:
-        return np.concatenate([np.atleast_1d(np.asarray(v, dtype=np.float64)).ravel() for v in select(message, field)])
+        return np.concatenate(
+            [np.atleast_1d(np.asarray(v, dtype=np.float64)).ravel() for v in field_values(message, field)]
+        )
     except (TypeError, ValueError) as error:
         raise FitError(f"field '{field}' holds no numbers: {error}") from error
 
 
 def indices_of(message: Any, field: str) -> list[int]:
-    """Return the particle indices that a message's field holds.
+    """Return the particle indices in a message's field. Raises FitError for other than whole numbers.
 
     Raises:
         FitError: if the field has no whole numbers.
     """
-    values = select(message, field)
+    values = field_values(message, field)
     flat = [entry for value in values for entry in (value.tolist() if isinstance(value, np.ndarray) else [value])]
     try:
         particles = [int(entry) for entry in flat]
@@ -164,12 +166,12 @@ def indices_of(message: Any, field: str) -> list[int]:
 
 
 def pose_of(message: Any, field: str) -> list[float]:
-    """Return the pose in a message's field: position [m] and quaternion x, y, z, w; a point has no rotation.
+    """Return the pose in a message's field: position [m] and quaternion x, y, z, w, 7 numbers. Raises FitError.
 
     Raises:
         FitError: if the field is no pose.
     """
-    values = select(message, field) if field else [message]
+    values = field_values(message, field) if field else [message]
     if len(values) != 1:
         raise FitError(f"field '{field}' has {len(values)} values; a gripper has one pose")
     value = values[0]

@@ -71,7 +71,7 @@ class _Velocity:
 def check_rest(
     clouds: Sequence[Array], seconds: NDArray[np.float64], rest_shape: Array, paths: Mapping[str, GripperPath]
 ) -> None:
-    """Refuse a recording that begins while the cloth moves.
+    """Raise FitError if a recording begins while the cloth or a closed gripper moves.
 
     Args:
         clouds: matched clouds [m], shape (n, 3) each; empty for bare points, which show no velocity.
@@ -103,7 +103,7 @@ def check_rest(
 
 
 def check_grippers_rest(paths: Mapping[str, GripperPath]) -> None:
-    """Refuse a gripper that moves at the start of its path.
+    """Raise FitError, with the speed, if a gripper moves at time 0 of its path.
 
     Raises:
         FitError: if a gripper moves; the text names its speed.

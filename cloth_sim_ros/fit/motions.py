@@ -145,7 +145,7 @@ def fit_motions(
     on_progress: Callable[[int], None] = lambda _runs: None,
     pool: TrajectoryPool | None = None,
 ) -> MotionFit:
-    """Fit parameters to several motions of one cloth at once, over their whole length.
+    """Fit parameters to several whole motions of one cloth, in worker processes; return the fit. Raises FitError.
 
     Args:
         recordings: commands and clouds, see `motion_recording` and `read_session`.
@@ -205,7 +205,7 @@ def check_options(
     within: float,
     workers: int | None,
 ) -> None:
-    """Check the options of a fit to several motions.
+    """Raise FitError for an invalid option of a fit to several motions, by its name.
 
     Raises:
         FitError: naming the option that can't be used.
@@ -266,7 +266,7 @@ def _fit_problem(
 def strongest_motions(
     recordings: Sequence[FitRecording] | Sequence[Recording], candidates: Sequence[int], count: int
 ) -> list[int]:
-    """Return at most `count` recordings for a first search: half with the largest motion, half spread over the rest.
+    """Return sorted indices of at most `count` recordings for a first search.
 
     Half of them are those with the largest motion of the points, the other half are spread over the rest.
     """
@@ -307,7 +307,7 @@ def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Ar
 
 
 def align_all(problem: JointProblem, point: Point, selected: Sequence[int]) -> Array:
-    """Return the alignment that fits the motions of a point best, by a search over time offsets."""
+    """Search over time offsets for the alignment that fits the motions of a point best; return its vector."""
     eta, model = np.zeros(problem.alignment.n_unknowns), problem.alignment
     if not len(eta):
         return eta
@@ -339,7 +339,7 @@ def _complete_alignment(problem: JointProblem, point: Point, selected: Sequence[
         return point.eta
     eta, further = point.eta.copy(), _point(problem, point.theta, point.eta, missing, SEARCH_TOLERANCE)
     aligned = align_all(problem, further, missing)
-    is_shared = problem.alignment.is_shared()
+    is_shared = problem.alignment.shared_mask()
     for k in missing:
         places = problem.alignment.columns(k)[1]
         places = places[~is_shared[places]]
@@ -355,7 +355,7 @@ def _point(problem: JointProblem, theta: Array, eta: Array, selected: Sequence[i
 
 
 def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -> int:
-    """Stop using clouds that are far from the simulated cloth; return their number."""
+    """Remove clouds far from the simulated cloth from `problem.used`; return their number."""
     medians = [[float(np.median(np.abs(r))) if r.size else 0.0 for r in part] for part in point.residuals]
     typical = float(np.median([m for part in medians for m in part]))
     dropped = 0
@@ -367,7 +367,7 @@ def _drop_outliers(problem: JointProblem, point: Point, inside: Sequence[int]) -
 
 
 def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: str) -> tuple[JointSolution, int]:
-    """Solve for all recordings at the final tolerance; return the solution and the number of unpredictable clouds."""
+    """Solve for all recordings; remove unpredictable clouds from `problem.used`; return solution and their number."""
     differences, unpredictable = DifferenceSteps.initial(len(point.theta)), 0
     solution = derivatives = previous = None
     for attempt in range(MAX_LINEARIZATIONS):

@@ -17,7 +17,7 @@ from cloth_sim_ros.session.output_files import atomic_write
 
 
 def write_json(fit: MotionFit, path: Path) -> None:
-    """Write all numbers of a fit to several motions as JSON; numbers that are not finite are null."""
+    """Write all numbers of a fit to several motions to a JSON file; numbers that are not finite are null."""
     has_intervals = fit.covariance.has_intervals
     content: dict[str, Any] = {
         "name": fit.name,
@@ -72,7 +72,7 @@ def write_json(fit: MotionFit, path: Path) -> None:
 
 
 def write_plot(fit: MotionFit, path: Path) -> None:
-    """Plot each motion's rms distance of points from the fitted cloth and from the cloth carried rigidly [mm]."""
+    """Write a PNG of each motion's rms distance from the fitted cloth and from the cloth carried rigidly [mm]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -148,7 +148,7 @@ class NoiseModel:
 
 
 def initial_noise(residuals: Iterable[Array], loss: str, n_modes: int) -> NoiseModel:
-    """Return a noise model by the residuals' median: white, and smooth modes with a tenth of the white variance.
+    """Return a noise model by the residuals' median: white, with `n_modes` smooth modes. Raises FitError for the loss.
 
     Args:
         residuals: residuals of each cloud [m], shape (n, d).

@@ -89,7 +89,7 @@ class FitParameter:
 def choose_parameters(
     scene: Scene, names: Sequence[str], start: Mapping[str, float] | None = None
 ) -> list[FitParameter]:
-    """Return the fit parameters of a scene by their names.
+    """Return the fit parameters of a scene by their short or full names. Raises FitError.
 
     Args:
         scene: provides the starting values.
@@ -113,7 +113,7 @@ def choose_parameters(
 
 
 def scene_with(scene: Scene, parameters: Sequence[FitParameter], values: Sequence[float], **further: Any) -> Scene:
-    """Return a scene with other values of the fitted parameters, and of further parameters by name.
+    """Return a copy of a scene with other values of parameters, and of `further` ones. Raises ParameterError.
 
     Raises:
         ParameterError: if the values are invalid.
@@ -169,7 +169,7 @@ def _fit_parameter(scene: Scene, name: str, start: float | None) -> FitParameter
 
 
 def _check_effect(scene: Scene, name: str, value: float) -> None:
-    """Refuse a parameter that has no effect in the scene, because other parameters disable it.
+    """Raise FitError for a parameter that has no effect in the scene, because other parameters disable it.
 
     Raises:
         FitError: if the parameter has no effect in the scene.

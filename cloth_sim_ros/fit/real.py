@@ -45,7 +45,7 @@ def fit_real(
     workers: int | None = None,
     on_progress: Callable[[int], None] = lambda _runs: None,
 ) -> MotionFit:
-    """Fit parameters to recordings of one real cloth, and choose the grasped particles; return the fit.
+    """Fit parameters to a real cloth's recordings, and choose grasped particles; return the fit. Raises FitError.
 
     Its grippers hold the same particles in all of them, unless they are named for each.
 

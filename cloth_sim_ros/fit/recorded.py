@@ -36,7 +36,7 @@ def _to_clouds(clouds: Iterable[ArrayLike]) -> tuple[NDArray[np.float64], ...]:
 
 @attrs.frozen(eq=False, kw_only=True)
 class RecordedGripper:
-    """Recorded poses and grasps of one gripper over time."""
+    """Recorded poses and grasps of one gripper over time. Raises FitError for arrays of other shapes."""
 
     #: Times of the poses [s], ascending, shape (n,).
     times: NDArray[np.float64] = attrs.field(converter=_to_array)
@@ -54,7 +54,7 @@ class RecordedGripper:
             raise FitError(f"times, positions and quaternions have shapes {shapes}; they must be (n,), (n, 3), (n, 4)")
 
     def offset_by(self, offset: ArrayLike) -> RecordedGripper:
-        """Return the track of a point that is fixed in the frame of the recorded poses.
+        """Return the track of another point of the gripper, `offset` in the frame of the recorded poses [m].
 
         Args:
             offset: the point in the frame of the recorded poses [m], shape (3,).
@@ -100,7 +100,7 @@ class RecordedGripper:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Recording:
-    """Clouds and gripper poses of one motion of a real cloth.
+    """Clouds and gripper poses of one motion of a real cloth. Raises FitError if times or points are invalid.
 
     All times have one origin. The clouds' clock may differ from the grippers' by an offset, which a fit can find.
     """
@@ -143,7 +143,7 @@ class Recording:
                 )
 
     def in_gripper_frame(self, cloud_pose: ArrayLike) -> Recording:
-        """Return the recording with its clouds transformed into the grippers' frame.
+        """Return the recording with its clouds transformed into the grippers' frame. Raises FitError.
 
         Args:
             cloud_pose: position [m] and quaternion x, y, z, w of the clouds' frame in the grippers' frame, shape (7,).
@@ -162,7 +162,7 @@ class Recording:
         return attrs.evolve(self, clouds=[cloud @ rotation.T + numbers[:3] for cloud in self.clouds])
 
     def since(self, time: float) -> Recording:
-        """Return the recording without the clouds before a time [s] after the first one.
+        """Return the recording without the clouds before a time [s] after its first one. Raises FitError.
 
         Raises:
             FitError: if there is no such cloud.

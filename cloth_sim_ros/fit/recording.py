@@ -64,7 +64,7 @@ class FitRecording:
     grasped: tuple[GraspedParticles, ...] = ()
 
     def part(self, *, until: float | None = None, every: int = 1) -> FitRecording:
-        """Return the recording with every n-th cloud, up to a time [s].
+        """Return the recording with every n-th cloud and all events, up to a time [s] after its beginning.
 
         Args:
             until: time of the last cloud [s]; None for all.
@@ -79,7 +79,7 @@ class FitRecording:
 
 
 def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: bool = True) -> FitRecording:
-    """Read a recorded session of this package: its scene, state, events and clouds.
+    """Read a recorded session's scene, state, events and clouds for a fit. Raises SessionError or FitError.
 
     Args:
         paths: files of the session, in order.
@@ -143,7 +143,7 @@ def prepare_state(state: State) -> State:
 
 
 def check_recording(recording: FitRecording, parameter_names: Sequence[str], *, min_clouds: int = MIN_CLOUDS) -> None:
-    """Refuse a recording that can't be compared with the scene's cloth, or has too few clouds.
+    """Raise FitError for too few or too many clouds, clouds of another cloth, or parameters that changed meanwhile.
 
     Args:
         recording: clouds and scene.

@@ -78,7 +78,7 @@ def settle(problem: JointProblem, theta: Array, selected: Sequence[int], toleran
 def choose_rest_shapes(
     problem: JointProblem, theta: Array, selected: Sequence[int], tolerance: float
 ) -> dict[int, float]:
-    """Select the rest shape of each recording that follows its clouds best; further simulations start from it.
+    """Store each recording's best rest shape in `problem.rest_states`; return mean distances [m]. Raises FitError.
 
     Args:
         problem: recordings and unknowns; their rest states are set.

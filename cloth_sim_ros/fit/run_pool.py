@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 
 
 class RunPool:
-    """Pool of processes for the simulations of a fit; the results do not depend on their number.
+    """Context manager of processes for simulations; they start at the first `map`, and end with the context.
 
     Args:
         workers: number of processes; 1 uses this process, None starts one per core.
@@ -59,7 +59,7 @@ class RunPool:
         *,
         local_function: Callable[[Job], Result] | None = None,
     ) -> list[Result]:
-        """Call a function for each job in parallel processes; return the results in order.
+        """Call a function for each job in parallel processes; return the results in order. Raises FitError.
 
         Args:
             function: a function of a module, called in the processes.

@@ -44,7 +44,7 @@ class FitRun:
 
 
 def simulate(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> Array:
-    """Return the particles' positions at the time of each cloud [m], shape (clouds, particles, 3).
+    """Simulate a recording; return positions at the times of its clouds [m], shape (clouds, particles, 3).
 
     Positions between two frames' ends are interpolated by cubic Hermite polynomials.
 
@@ -61,7 +61,7 @@ def simulate(recording: FitRecording, parameters: Sequence[FitParameter], run: F
 
 
 def simulate_with_misses(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> tuple[Array, int]:
-    """Return the positions as `simulate` does, and the number of frames that missed the tolerance."""
+    """Simulate as `simulate` does; return the positions, and the number of frames that missed the tolerance."""
     scene = scene_with(recording.scene, parameters, run.values, tolerance=run.tolerance, step=0.0, work_limit=MAX_WORK)
     simulation = Simulation(scene, recording.state)
     frames, period = recording.frames[: run.n_clouds], scene.period
@@ -82,7 +82,7 @@ def simulate_with_misses(recording: FitRecording, parameters: Sequence[FitParame
 
 
 def residuals(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> Array:
-    """Return the residuals of all clouds [m]: measured minus simulated, shape (n,).
+    """Simulate a recording; return its clouds' residuals, measured minus simulated [m], shape (n,).
 
     A matched cloud gives three coordinates per visible particle. Bare points give their distances from the surface.
     """
@@ -126,7 +126,7 @@ class FitRunPool(RunPool):
         super().__init__(workers, initializer=_init_worker, arguments=(recording, self.parameters))
 
     def compute_residuals(self, runs: Sequence[FitRun]) -> list[Array | str]:
-        """Simulate runs in parallel; return the residuals of each [m], shape (n,), or the text of its error.
+        """Simulate runs in parallel; return each one's residuals [m], shape (n,), or the text of its error.
 
         Raises:
             FitError: as `RunPool.map`.

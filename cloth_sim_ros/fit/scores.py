@@ -51,8 +51,8 @@ def score(distances: Sequence[Array]) -> Score:
     )
 
 
-def gripper_poses(recording: FitRecording, frames: NDArray[np.float64], names: Sequence[str]) -> Array:
-    """Return commanded gripper positions at times that count frames [m], shape (times, grippers, 3).
+def gripper_positions(recording: FitRecording, frames: NDArray[np.float64], names: Sequence[str]) -> Array:
+    """Return commanded positions of grippers at times counted in frames [m], shape (times, grippers, 3).
 
     Before its first target a gripper has that target's position. Each gripper needs a target.
     """
@@ -81,12 +81,12 @@ def rigid_distances(problem: JointProblem, index: int, trajectory: SimulatedMoti
     frames = recording.frames[problem.used[index]]
     alignment = problem.alignment.alignment(eta, index)
     at = frames - alignment.offset * recording.scene.rate
-    poses = gripper_poses(recording, np.concatenate([[float(recording.n_settle_frames)], at]), names)
+    positions = gripper_positions(recording, np.concatenate([[float(recording.n_settle_frames)], at]), names)
     rest_shape = trajectory.x[0]
     carried = (
         [
-            (rest_shape - poses[0].mean(axis=0)) @ _turn_between(poses[0], pose).T + pose.mean(axis=0)
-            for pose in poses[1:]
+            (rest_shape - positions[0].mean(axis=0)) @ _turn_between(positions[0], position).T + position.mean(axis=0)
+            for position in positions[1:]
         ]
         if names
         else [rest_shape] * len(at)
@@ -163,7 +163,7 @@ def pooled_score(scores: Sequence[Score]) -> Score | None:
 
 
 def excess_misfit(models: Sequence[Score], floors: Sequence[Score]) -> float | None:
-    """Return the part of the cloth's error that the floor does not explain, a root mean square [m].
+    """Return the cloth's error beyond the floor, a root mean square [m]; None if chance explains it or motions are few.
 
     Each motion is one observation of the difference of the mean squares. None stands for a difference that chance would
     exceed in one of a hundred fits of a right model, or for fewer than `MIN_MOTIONS` motions.

@@ -27,7 +27,7 @@ _SIDEWAYS = 1.5
 
 @attrs.frozen(kw_only=True)
 class UnusedClouds:
-    """Numbers of clouds that a fit does not use, by reason."""
+    """Numbers of the clouds that a fit does not use, by reason."""
 
     #: Clouds without a point.
     empty: int = 0
@@ -62,7 +62,7 @@ class ScreenedClouds:
 
 
 def screen_clouds(recordings: Sequence[FitRecording]) -> ScreenedClouds:
-    """Return the clouds that may show the cloth: with points, of its size, and not shortened.
+    """Return the clouds that may show the cloth: with points, of its size, not shortened. Raises FitError for none.
 
     A camera that loses a part of a real cloth spreads the points over the rest of it, so that they stand too close.
 
@@ -82,7 +82,7 @@ def screen_clouds(recordings: Sequence[FitRecording]) -> ScreenedClouds:
                 # `check_recording` refuses it with a remedy.
                 indices.append(k)
                 continue
-            ratio = scale(cloud[seen], rest_shape[seen] if recording.matched else rest_shape)
+            ratio = size_ratio(cloud[seen], rest_shape[seen] if recording.matched else rest_shape)
             if ratio is not None and not MIN_SCALE <= ratio <= MAX_SCALE:
                 n_wrong += 1
                 ratios.append(ratio)
@@ -158,7 +158,7 @@ def _shorth_midpoint(ratios: Array) -> float:
     return float(0.5 * (ordered[first] + ordered[first + half]))
 
 
-def scale(points: Array, rest_shape: Array) -> float | None:
+def size_ratio(points: Array, rest_shape: Array) -> float | None:
     """Return the ratio of the sizes of a cloud and of the rest shape; None if the cloud has too few points.
 
     The size is the root mean square distance from the median point.

@@ -39,7 +39,7 @@ MIN_SIGMA = 1e-8
 
 @attrs.define(kw_only=True)
 class Linearization:
-    """Residuals and their first and second differences by the parameters' logarithms, at one point."""
+    """Residuals r (n,) and their first and second differences (p, n) by the parameters' logarithms, at one point."""
 
     #: Logarithms of the parameters, shape (p,).
     theta: Array
@@ -110,7 +110,7 @@ class FitProblem:
     def linearize(
         self, theta: Array, steps: Array, n_clouds: int, tolerance: float, r: Array | None = None
     ) -> Linearization:
-        """Return residuals and central differences by the parameters' logarithms, from simulations near a point.
+        """Return residuals and central differences at `theta`, from simulations around it. Raises FitError.
 
         Args:
             theta: logarithms of the parameters, shape (p,).
@@ -159,7 +159,7 @@ def difference_steps(fisher: Array) -> Array:
 
 
 def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, tolerance: float) -> Linearization:
-    """Minimize the residuals of the first `n_clouds` clouds by Levenberg-Marquardt; return the linearization there.
+    """Minimize the first clouds' residuals by Levenberg-Marquardt; return the linearization there. Raises FitError.
 
     Args:
         problem: the least-squares problem.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.fit.grasped import (
     GRASP_SPAN,
     GraspedParticles,
-    check_distinct,
+    check_no_common_particle,
     find_grasped,
     find_grasped_at_rest,
     parse_all_grasped,
@@ -21,7 +21,7 @@ from cloth_sim_ros.fit.motion import GripperPath, check_grippers_rest, check_res
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recorded import MAX_DURATION, RecordedGripper, Recording
 from cloth_sim_ros.fit.recording import FitRecording, is_visible
-from cloth_sim_ros.fit.screening import MAX_SCALE, MIN_SCALE, scale
+from cloth_sim_ros.fit.screening import MAX_SCALE, MIN_SCALE, size_ratio
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.state.state import State
@@ -40,7 +40,7 @@ _STILL = 5e-3
 def rest_recording(
     recording: Recording, scene: Scene, *, settle_time: float = SETTLE_TIME, grasped: Mapping[str, str] | None = None
 ) -> FitRecording:
-    """Return a recording for a fit whose cloth settles in its grippers, and hangs at rest at the first cloud.
+    """Return a recording for a fit whose cloth settles, then hangs at rest at the first cloud. Raises FitError.
 
     Args:
         recording: clouds and gripper poses.
@@ -52,7 +52,7 @@ def rest_recording(
         FitError: if the recording is unusable; the text names cause and remedy.
     """
     named_particles = parse_all_grasped(scene, grasped or {})
-    n_settle_frames = settle_frames(scene, settle_time)
+    n_settle_frames = settle_frame_count(scene, settle_time)
     tracks, start = recording.grippers, float(recording.times[0])
     seconds = recording.times - start
     closed = closed_grippers(scene, tracks, start, named_particles)
@@ -86,7 +86,7 @@ def motion_recording(
     settle_time: float = SETTLE_TIME,
     max_offset: float = 0.0,
 ) -> FitRecording:
-    """Return a recording that is simulated from before the first cloud to after the last one.
+    """Return a recording for a fit, simulated from before the first to after the last cloud. Raises FitError.
 
     The cloth hangs at rest in its grippers at the start. Clouds may be late or early by `max_offset`.
 
@@ -100,7 +100,7 @@ def motion_recording(
     Raises:
         FitError: if a gripper moves at the start.
     """
-    n_settle_frames = settle_frames(scene, settle_time)
+    n_settle_frames = settle_frame_count(scene, settle_time)
     start = start_time(recording, scene, max_offset)
     frames = n_settle_frames + (recording.times - start) * scene.rate
     n_frames = int(np.ceil(frames[-1] + max_offset * scene.rate - 1e-9))
@@ -119,8 +119,8 @@ def motion_recording(
     )
 
 
-def settle_frames(scene: Scene, settle_time: float) -> int:
-    """Return the number of frames in which the cloth settles before the recording, at least 1.
+def settle_frame_count(scene: Scene, settle_time: float) -> int:
+    """Return the number of settling frames before the recording, at least 1. Raises FitError for an invalid time.
 
     Raises:
         FitError: if the time is out of its range.
@@ -131,7 +131,7 @@ def settle_frames(scene: Scene, settle_time: float) -> int:
 
 
 def start_time(recording: Recording, scene: Scene, max_offset: float) -> float:
-    """Return the time at which the simulation starts [s]: `max_offset` before the first cloud, with still grippers.
+    """Return when the simulation starts [s]: `max_offset` before the first cloud, or earlier. Raises FitError.
 
     If a gripper moves then, the simulation starts at the first pose.
 
@@ -160,7 +160,7 @@ def start_time(recording: Recording, scene: Scene, max_offset: float) -> float:
 def closed_grippers(
     scene: Scene, tracks: Mapping[str, RecordedGripper], time: float, named: Mapping[str, object]
 ) -> list[str]:
-    """Return the grippers closed at a time [s], pads left out: by their last grasp, or for lack of one before.
+    """Return names of grippers without pads that are closed at a time [s]. Raises FitError if an open one is named.
 
     Raises:
         FitError: if an open gripper is named.
@@ -173,12 +173,12 @@ def closed_grippers(
 
 
 def gripper_path(track: RecordedGripper, start: float) -> GripperPath:
-    """Return the positions of a gripper over the time since a start [s]."""
+    """Return a gripper's recorded positions as a path over the time since a start [s]."""
     return GripperPath(times=track.times - start, positions=track.positions)
 
 
 def hanging_state(recording: Recording, scene: Scene, selections: Sequence[GraspedParticles], start: float) -> State:
-    """Return an initial state: the first cloud's shape, moved to the grippers.
+    """Return the state from which the cloth settles: the first cloud's shape, moved to the closed grippers.
 
     The cloth settles from this state. A cloud with few visible particles, of another scale or of another number of
     points is replaced by the scene's initial shape.
@@ -189,7 +189,7 @@ def hanging_state(recording: Recording, scene: Scene, selections: Sequence[Grasp
     poses = {selection.gripper: recording.grippers[selection.gripper].pose_at(start) for selection in selections}
     use_cloud = is_whole and bool(seen.mean() >= _MIN_VISIBLE)
     if use_cloud:
-        ratio = scale(cloud[seen], scene.sheet.positions()[seen])
+        ratio = size_ratio(cloud[seen], scene.sheet.positions()[seen])
         use_cloud = ratio is not None and MIN_SCALE <= ratio <= MAX_SCALE
     x = fill_gaps(cloud, scene.sheet.triangles()) if use_cloud else rest_positions.copy()
     if selections:
@@ -244,7 +244,7 @@ def _grasping_state(
     poses: Mapping[str, tuple[list[float], list[float]]],
 ) -> State:
     """Return a state with particles at positions x [m] and closed grippers at their poses."""
-    check_distinct(selections)
+    check_no_common_particle(selections)
     state = State(x, cloth=scene.starting_state().cloth)
     grippers = Grippers(scene.gripper_names, state)
     for selection in selections:

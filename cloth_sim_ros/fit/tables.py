@@ -38,7 +38,7 @@ def is_table(path: Path) -> bool:
 
 
 def parse_columns(text: str) -> dict[str, str]:
-    """Return the names of a table's columns that an option such as `time=t,x=X` gives.
+    """Return a table's columns by name from an option such as `time=t,x=X`. Raises FitError for another form.
 
     Raises:
         FitError: for another form, or an unknown name.
@@ -57,7 +57,7 @@ def parse_columns(text: str) -> dict[str, str]:
 def read_clouds(
     path: Path, count: int, *, columns: Mapping[str, str] | None = None, scale: float = 1.0, matched: bool = True
 ) -> tuple[NDArray[np.float64], list[Array]]:
-    """Read the clouds of a table (CSV or npz); return their times [s], ascending, and points [m].
+    """Read the clouds of a CSV or npz table; return times [s], ascending, and points [m]. Raises FitError.
 
     An npz file holds `times`, shape (clouds,), and `points`, shape (clouds, points, 3), NaN for hidden points. A CSV
     has a line for each point: `time`, `particle`, `x`, `y`, `z`. Alternatively it has a line for each cloud, with
@@ -84,7 +84,7 @@ def read_clouds(
 
 
 def read_track(path: Path, start: float, *, scale: float = 1.0) -> RecordedGripper:
-    """Return the recorded poses of a gripper from a table (CSV), whose unit of length is `scale` metres.
+    """Return a gripper's recorded poses from a CSV table; times count from `start` [s]. Raises FitError.
 
     Times count from `start`, a time of the table's clock [s].
 
@@ -190,7 +190,10 @@ def _read_csv(
 
 
 def _lines(content: bytes) -> Iterator[str]:
-    """Yield the lines of a text in UTF-8, without a byte order mark; a list of all takes many times its memory."""
+    """Yield the lines of a text in UTF-8, without a byte order mark. Raises FitError for other bytes.
+
+    A list of all lines takes many times the memory of the text.
+    """
     try:
         yield from io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -198,7 +201,7 @@ def _lines(content: bytes) -> Iterator[str]:
 
 
 class _CloudRows:
-    """Points of one cloud while its lines are read: a row for each of `count` particles, or bare points for None."""
+    """Collector of one cloud's points, line by line: a row for each of `count` particles, or bare points for None."""
 
     def __init__(self, count: int | None) -> None:
         self._is_matched = count is not None
@@ -236,7 +239,7 @@ class _Line:
     cells: Mapping[str, str]
 
     def read_number(self, name: str) -> float:
-        """Return the number of a column; NaN for an empty cell, which is a hidden point."""
+        """Return the number of a column, NaN for an empty cell (a hidden point). Raises FitError for a text."""
         cell = self.cells[name].strip()
         try:
             return float(cell or "nan")
@@ -244,7 +247,7 @@ class _Line:
             raise FitError(f"line {self.index}: {name} is '{cell}'; it must be a number") from error
 
     def read_particle(self, name: str, count: int) -> int:
-        """Return the particle index in a column, from 0 to below `count`."""
+        """Return the particle index in a column. Raises FitError unless it is whole, from 0 to below `count`."""
         particle = self.read_number(name)
         if not (0 <= particle < count and particle == int(particle)):
             raise FitError(f"line {self.index} names particle {particle:g}; there are {count}, from index 0")

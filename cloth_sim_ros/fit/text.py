@@ -66,7 +66,7 @@ def estimate_table(estimates: Sequence[Estimate], within: float) -> Iterator[str
 
 
 def verdict(estimate: Estimate, within: float) -> str:
-    """Return a short text on an estimate: identified, or the reason why not."""
+    """Return the text on an estimate for the table: identified, or NOT IDENTIFIED with the reason."""
     if estimate.is_at_limit:
         return "NOT IDENTIFIED: at the limit of the search range"
     if not estimate.is_explained:

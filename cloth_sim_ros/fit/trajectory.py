@@ -30,7 +30,7 @@ WARM_SETTLE_TIME = 1.5
 
 @attrs.frozen(kw_only=True, eq=False)
 class SimulatedMotion:
-    """Simulated positions and velocities at the frames near the clouds, for any time offset."""
+    """Positions [m] and velocities [m/s], (frames, particles, 3), of a simulation at the frames near the clouds."""
 
     #: Indices of the frames, ascending, shape (frames,); 0 is the start.
     frames: NDArray[np.int64]
@@ -86,7 +86,7 @@ def trajectory_run(
     rest_state: State | None = None,
     is_at_rest: bool = False,
 ) -> TrajectoryRun:
-    """Return the request of a simulation, which settles faster from a rest state of similar parameters.
+    """Return the request of a simulation; from a rest state of similar parameters it settles faster.
 
     Args:
         recording: commands and times of the clouds.
@@ -119,7 +119,7 @@ def trajectory_run(
 
 
 def simulate_trajectory(run: TrajectoryRun) -> SimulatedMotion:
-    """Simulate a recording from its settled state on; return the motion near the times of the clouds.
+    """Let the cloth settle, then simulate a recording; return the motion near the times of the clouds.
 
     Raises:
         ValueError: if the values are invalid, or an event can't take effect.
@@ -187,7 +187,7 @@ def _needed_frames(recording: FitRecording, offsets: tuple[float, float]) -> NDA
 
 
 class TrajectoryPool(RunPool):
-    """Pool of processes that simulate recordings."""
+    """Pool of processes (context manager) that simulate recordings, each by a `TrajectoryRun`."""
 
     def simulate(self, runs: Sequence[TrajectoryRun]) -> list[SimulatedMotion | str]:
         """Simulate runs in parallel; return the motion of each, or the text of its error.

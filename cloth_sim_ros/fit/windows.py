@@ -72,7 +72,7 @@ class WindowedFit:
 
 
 def solve_windows(problem: FitProblem, seconds: NDArray[np.float64]) -> WindowedFit:
-    """Fit growing windows of clouds, each from the last result, until all clouds, unpredictable motion or a misfit.
+    """Fit growing windows of clouds until all are used, the motion is unpredictable, or a misfit. Raises FitError.
 
     Args:
         problem: the least-squares problem.

@@ -31,7 +31,7 @@ _LEVER_ARM = 0.1
 
 
 class ActionDecoder:
-    """Decoder of action arrays into events of a simulation.
+    """Decoder of action arrays into events of a simulation. Raises ValueError for a scene without grippers.
 
     Args:
         scene: the cloth's scene.
@@ -53,7 +53,7 @@ class ActionDecoder:
         self.shape = (len(self.names), ORIENTED_ACTION_SIZE if has_orientations else ACTION_SIZE)
 
     def validate(self, actions: Any, leading_shape: tuple[int, ...], *, dtype: type = np.float64) -> NDArray[Any]:
-        """Return actions as an array of shape (*leading_shape, grippers, 4 or 8); refuse invalid ones.
+        """Return actions as an array of shape (*leading_shape, grippers, 4 or 8). Raises ValueError for invalid ones.
 
         Raises:
             ValueError: if the shape differs, a number is not finite, or a quaternion has no length.
@@ -82,7 +82,7 @@ class ActionDecoder:
         return array
 
     def to_events(self, action: NDArray[Any], simulation: Simulation) -> list[Event]:
-        """Return the targets and grasps that one cloth's action commands in the next frame.
+        """Return the target, and the grasp if it changes, of each gripper from one cloth's action (grippers, 4 or 8).
 
         A gripper gets a `Grasp` event only if its grasp changes.
 

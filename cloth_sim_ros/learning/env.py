@@ -47,17 +47,17 @@ class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start a new episode; see `ClothVectorEnv.reset`."""
+        """Start a new episode; return its first observation, (m, 3 or 6), and an empty dictionary."""
         super().reset(seed=seed)
         observations, _ = self._cloths.reset(seed=seed, options=options)
         return observations[0], {}
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Step the cloth by an action, shape (grippers, 4 or 8); see `ClothVectorEnv.step`."""
+        """Step the cloth by an action, (grippers, 4 or 8); return observation, reward, terminated, truncated, info."""
         observations, rewards, terminations, truncations, infos = self._cloths.step(np.asarray(action)[None])
         info = {"flagged": int(infos["flagged"][0])}
         return observations[0], float(rewards[0]), bool(terminations[0]), bool(truncations[0]), info
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Stop the threads; a later step raises RuntimeError."""
         self._cloths.close()

@@ -46,7 +46,7 @@ OutcomeFunction: TypeAlias = Callable[[Outcome], Any]
 
 
 def evaluate_outcome(name: str, function: OutcomeFunction | None, outcome: Outcome, dtype: type) -> NDArray[Any]:
-    """Call a user's reward or termination function; return a value for each cloth, (N,), zeros without one.
+    """Call a user's reward or termination function; return values (N,), zeros without one. Raises ValueError.
 
     Args:
         name: name of the function, for the error text.

@@ -30,7 +30,7 @@ _PIECES_PER_PROCESS = 4
 def roll_out_in_processes(
     snapshot: Snapshot, actions: NDArray[Any], request: RolloutRequest, processes: int
 ) -> Iterator[Rollout]:
-    """Yield the rollouts of several action sequences, in order, computed by processes.
+    """Yield the rollouts of several action sequences, in order, from processes that persist between calls.
 
     Args:
         snapshot: start of all rollouts.

@@ -38,7 +38,7 @@ Rollout: TypeAlias = tuple[NDArray[np.float32], Array, Snapshot]
 
 
 def roll_out(simulation: Simulation, snapshot: Snapshot, actions: NDArray[Any], request: RolloutRequest) -> Rollout:
-    """Simulate one action sequence from a snapshot; return recorded particles, wrenches and the final snapshot.
+    """Simulate an action sequence from a snapshot; return trajectory, wrenches and final snapshot as a `Rollout`.
 
     Args:
         simulation: simulation of the snapshot's scene; its state is overwritten.
@@ -59,7 +59,7 @@ def roll_out(simulation: Simulation, snapshot: Snapshot, actions: NDArray[Any], 
 
 
 def select_particles(particles: ArrayLike | None, count: int) -> tuple[ParticleSelection, int]:
-    """Return an index that selects particles, and their number; None selects all.
+    """Return an index that selects particles (None: all), and their number. Raises ValueError.
 
     Args:
         particles: indices of particles, or None for all.

@@ -20,7 +20,7 @@ class Generators:
         self._generators: list[tuple[np.random.Generator, int] | None] = [None] * count
 
     def seed(self, seed: int | Sequence[int | None] | None, indices: Sequence[int]) -> None:
-        """Seed the random generators of some cloths.
+        """Seed the random generators of some cloths, or keep their states (None). Raises ValueError.
 
         Args:
             seed: seed of generator 0, which increases by 1 per generator; or one seed for each of them. None keeps a
@@ -41,16 +41,16 @@ class Generators:
                 self._make(i, seeds[i])
 
     def generator(self, index: int) -> np.random.Generator:
-        """Return the random generator of one cloth."""
+        """Return the random generator of one cloth; one without a seed gets a random seed at its first use."""
         entry = self._generators[index]
         return self._make(index, None) if entry is None else entry[0]
 
     def generators(self) -> tuple[np.random.Generator, ...]:
-        """Return the random generators of all cloths."""
+        """Return the random generators of all cloths, those without a seed randomly seeded."""
         return tuple(self.generator(i) for i in range(len(self._generators)))
 
     def seeds(self) -> tuple[int, ...]:
-        """Return the seeds of all cloths' random generators."""
+        """Return the seeds of all cloths' random generators; those without a seed get a random one."""
         self.generators()
         return tuple(entry[1] for entry in self._generators if entry is not None)
 

@@ -53,7 +53,7 @@ class SimulationPool:
         return simulation
 
     def reset(self, indices: list[int], scenes: list[Scene]) -> None:
-        """Start a new episode of some cloths, each from its scene.
+        """Start a new episode of some cloths, each from its scene; changes `snapshots`. Raises ValueError.
 
         Args:
             indices: indices of the cloths.
@@ -93,7 +93,7 @@ class SimulationPool:
         frames: int,
         on_step: Callable[[int, Simulation, Array, int], None],
     ) -> None:
-        """Step some cloths for some frames, each by its action; call `on_step` for each.
+        """Step some cloths for some frames in threads; call `on_step` for each, in its thread. Changes `snapshots`.
 
         If one cloth fails, none is changed.
 

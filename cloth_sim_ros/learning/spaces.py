@@ -26,7 +26,7 @@ TOLERANCE = 1e-3
 
 
 def scene_of(source: Scene | str | Path | Mapping[str, Any] | None, base: Scene | None = None) -> Scene:
-    """Return a scene from a scene, a ROS parameter file, or values by full name.
+    """Return a scene from a scene, a ROS parameter file, or values by full name. Raises ValueError.
 
     Args:
         source: scene, file or values; None for the default scene with a tolerance of 1 mm.
@@ -47,7 +47,7 @@ def scene_of(source: Scene | str | Path | Mapping[str, Any] | None, base: Scene 
 
 
 def check_positive_integer(name: str, value: Any) -> int:
-    """Return an option's value as an int; refuse one that is no whole number of at least 1.
+    """Return an option's value as an int. Raises ValueError unless it is a whole number of at least 1.
 
     Args:
         name: name of the option, for the error text.
@@ -62,7 +62,7 @@ def check_positive_integer(name: str, value: Any) -> int:
 
 
 def make_workspace(bounds: ArrayLike | None, start: Array) -> Array:
-    """Return the box of permitted gripper targets, its lowest and highest corner [m], shape (2, 3).
+    """Return the box of gripper targets, lowest and highest corner [m], shape (2, 3). Raises ValueError.
 
     Args:
         bounds: the user's box; None for the box of the initial cloth, extended by twice its size on each side.
@@ -112,7 +112,7 @@ def observation_space(shape: tuple[int, ...]) -> Box:
 
 
 def parse_autoreset_mode(name: str | AutoresetMode) -> AutoresetMode:
-    """Return gymnasium's autoreset mode of a name.
+    """Return gymnasium's autoreset mode of a name. Raises ValueError for an unknown one.
 
     Raises:
         ValueError: if the name is unknown.
@@ -127,7 +127,7 @@ def parse_autoreset_mode(name: str | AutoresetMode) -> AutoresetMode:
 
 
 def reset_mask(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the cloths to reset, ``options["reset_mask"]``, shape (count,); all true by default.
+    """Return a mask of the cloths to reset from ``options["reset_mask"]``, (count,), all by default. Raises ValueError.
 
     Raises:
         ValueError: if an option is unknown, or the mask has another shape or type or selects no cloth.

@@ -142,7 +142,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """Random generator of each cloth, a tuple."""
+        """Random generator of each cloth, a tuple; those without a seed are created at the first access."""
         return self._generators.generators()
 
     @property
@@ -153,7 +153,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start a new episode of all cloths, or of those that ``options["reset_mask"]`` selects.
+        """Start a new episode of the cloths in ``options["reset_mask"]``, by default all; return observations and {}.
 
         Args:
             seed: seed of the first cloth's generator, which increases by 1 per cloth; or one seed for each cloth. None
@@ -174,7 +174,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Step all cloths, each by its action.
+        """Step all cloths, each by its action; return observations, rewards, terminations, truncations, infos.
 
         Args:
             actions: shape (num_envs, grippers, 4 or 8).

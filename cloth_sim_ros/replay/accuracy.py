@@ -71,7 +71,7 @@ class MeasuredAccuracy:
 
 
 def draw_curves(recording: rr.RecordingStream) -> None:
-    """Log names and colours of the accuracy curves to Rerun."""
+    """Log names and colours of the accuracy curves to Rerun, once for the whole recording."""
     import rerun as rr
 
     for path, name, colour in _CURVES.values():
@@ -79,7 +79,7 @@ def draw_curves(recording: rr.RecordingStream) -> None:
 
 
 def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> MeasuredAccuracy:
-    """Measure the accuracy of a session. `folder` receives the result files and must exist while the result is used.
+    """Run `cloth_verify --accuracy` into `folder`, which the result needs later; return errors. Raises SessionError.
 
     Raises:
         SessionError: if it cannot be measured.

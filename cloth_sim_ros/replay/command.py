@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_replay`; return its exit status."""
+    """Run the command `cloth_replay` (its entry point; `arguments`: by default sys.argv's); return its exit status."""
     return run_command("cloth_replay", "cloth_sim_ros.replay.main", arguments)

@@ -30,7 +30,7 @@ def ensemble_topic(node: str) -> str:
 
 
 def read_deviations(data: bytes, particle_count: int) -> NDArray[np.floating]:
-    """Return the deviation of each particle [m], shape (n,), from an ensemble's cloud.
+    """Return the deviation of each particle [m], (n,), from an ensemble's cloud. Raises SessionError without them.
 
     Raises:
         SessionError: if it has none, or those of another cloth.
@@ -44,7 +44,7 @@ def read_deviations(data: bytes, particle_count: int) -> NDArray[np.floating]:
 def typical_deviation(
     reader: SessionReader, windows: Sequence[tuple[int | None, int | None]], particle_count: int
 ) -> float:
-    """Return a deviation [m] that few clouds of a session exceed, by one cloud from each window of log time."""
+    """Return a deviation [m] that one in ten clouds exceeds, by a cloud from each window of log times [ns]."""
     largest = [_MIN_DEVIATION]
     for start, end in windows:
         for message in reader.messages([ensemble_topic(reader.node)], start=start, end=end):
@@ -55,7 +55,7 @@ def typical_deviation(
 
 
 class RecentMoments:
-    """Simulated and ROS times of the newest frames."""
+    """Simulated and ROS times of the newest 1000 frames."""
 
     def __init__(self) -> None:
         self._moments: deque[Moment] = deque(maxlen=_N_MOMENTS)

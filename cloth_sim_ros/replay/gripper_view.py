@@ -50,7 +50,7 @@ class GripperView:
         self._shown: set[str] = set()
 
     def start(self, recording: rr.RecordingStream, size: float) -> None:
-        """Log the components that do not change, such as line widths, for a scene of a size [m]."""
+        """Log the components that do not change, such as line widths, once, for a scene of a size [m]."""
         import rerun as rr
 
         for name in self._tracks.tracks:
@@ -68,7 +68,7 @@ class GripperView:
                 recording.log(point_path, points, static=True)
 
     def show(self, moment: Moment) -> None:
-        """Draw the grippers at their poses of a moment; one without a pose, as after a reset, is hidden."""
+        """Add rows with the grippers' poses at a moment; one without a pose, as after a reset, is hidden."""
         import rerun as rr
 
         for name, track in self._tracks.tracks.items():
@@ -96,7 +96,7 @@ class GripperView:
         return {name: xyz[:0] if track.grasped is None else xyz[track.grasped] for name, track in tracks}
 
     def show_grasped(self, moment: Moment, grasped: dict[str, Any]) -> None:
-        """Draw the particles that grippers hold at a moment."""
+        """Add rows with the positions (k, 3) [m] of grasped particles, by gripper, at a moment."""
         import rerun as rr
 
         for name, positions in grasped.items():

@@ -66,7 +66,7 @@ class GripperTrack:
             self.pose = self.target.copy()
 
     def close(self, xyz: NDArray[np.floating] | None, free: NDArray[np.bool_], radius: float) -> None:
-        """Close the gripper on free particles within its radius; `xyz`: positions (n, 3) [m], None if unknown."""
+        """Close the gripper; `grasped` becomes the free particles within `radius` [m], or None if `xyz` (n, 3) is."""
         if self.closed:
             return
         self.closed = True
@@ -111,7 +111,7 @@ class GripperTracks:
     def advance(
         self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating] | None]
     ) -> list[int | None]:
-        """Apply the recorded events of a frame; return the number of particles grasped after each event.
+        """Apply a frame's recorded events to `tracks`; return the number of particles grasped after each event.
 
         Args:
             record: record of the frame.

@@ -80,14 +80,14 @@ class LiveView:
         return self._stream is not None
 
     def add(self, topic: str, data: bytes) -> None:
-        """Show a message. One that is damaged, or does not fit the cloth, is left out."""
+        """Show a message of the pipe (CDR bytes, or JSON of parameters); one that does not fit is left out."""
         try:
             self._add(topic, data)
         except SessionError as error:
             self._report(topic, f"a message on {topic} is not shown: {error}")
 
     def finish(self) -> None:
-        """Send pending rows to Rerun, and end the recording."""
+        """Send pending rows to Rerun, end the recording, and forget the node; another topology begins a new one."""
         if self._stream is not None:
             self._stream.finish()
         if self._recording is not None:
@@ -214,7 +214,7 @@ def live_scan(
     obstacles: bytes | None = None,
     strain_limit: float = FOLLOWED_LIMIT,
 ) -> PreScan:
-    """Return bounds, geometry and plots of a running node for the viewer, from its first cloud.
+    """Return bounds, geometry and plots of a running node for the viewer, from its first cloud. Raises SessionError.
 
     Args:
         cloud: first cloud.

@@ -32,7 +32,7 @@ _MEMORY = "2GB"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Show the messages on standard input in Rerun until the input ends; return the exit status."""
+    """Show the messages on standard input in Rerun until the input ends; return 0, or 1 if that is impossible."""
     escape_unencodable()
     options = _parser().parse_args(arguments)
     if any(importlib.util.find_spec(library) is None for library in ("rerun", "mcap", "rosbags")):
@@ -128,7 +128,7 @@ def _draw(options: argparse.Namespace, viewer: Viewer | None) -> int:
 
 
 def numbered_path(path: Path, index: int) -> Path:
-    """Return the path of the recording number `index`: the second one of `out.rrd` is `out_2.rrd`."""
+    """Return the file of the recording `index`, from 1: the second one of `out.rrd` is `out_2.rrd`."""
     return path if index == 1 else path.with_name(f"{path.stem}_{index}{path.suffix}")
 
 

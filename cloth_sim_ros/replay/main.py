@@ -23,7 +23,7 @@ _MAX_TIME = 9e9
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_replay`: show a session, or save it as a recording or a picture; return the exit status."""
+    """Run `cloth_replay`: show a session, or save a recording or a picture; return 0, 1 (machine) or 2 (session)."""
     escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)

@@ -42,7 +42,7 @@ class ObstacleView:
         self._shown: dict[tuple[str, int], bytes | None] = {}
 
     def show(self, moment: Moment, data: bytes | memoryview) -> None:
-        """Draw the markers of a serialized MarkerArray at a moment.
+        """Add rows with the markers of a serialized MarkerArray at a moment. Raises SessionError for other bytes.
 
         Raises:
             SessionError: if the bytes are not one.

@@ -62,7 +62,7 @@ class Opening:
     """True if an ensemble of uncertain parameters ran beside the cloth."""
 
     def anchored_particles(self, rows: int, columns: int, anchors: Sequence[str] | None = None) -> NDArray[np.intp]:
-        """Return the indices of anchored particles, from the names of a grid's edges and corners, or from indices.
+        """Return the sorted indices of anchored particles, from names of a grid's edges and corners, or indices.
 
         `anchors`: `cloth.anchors`; by default that of the snapshot.
         """

@@ -41,7 +41,7 @@ _NUMBER_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?!
 
 
 def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
-    """Yield the plot path and the number of each entry in a serialized DiagnosticArray that has a plot."""
+    """Yield plot path and number of each entry of a serialized DiagnosticArray that has a plot. Raises SessionError."""
     message = decode(data, "diagnostic_msgs/msg/DiagnosticArray")
     for status in message.status:
         pairs = ((pair.key, pair.value) for pair in status.values)

@@ -59,7 +59,9 @@ class PreScan:
 
 
 def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is_followed: bool = False) -> PreScan:
-    """Scan a sample of a session's clouds for bounds, colour range and plots; one cloud if `is_followed`.
+    """Read a sample of a session's clouds; return bounds, colour range and plots. Raises SessionError.
+
+    The sample is one cloud if `is_followed`, because the session is still being recorded.
 
     Raises:
         SessionError: if the session has no surface, or its clouds do not fit the surface.
@@ -128,13 +130,13 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
 
 
 def check_fit(cloud: Cloud, particle_count: int) -> None:
-    """Refuse a cloud whose number of points is not that of the session's particles. Raises SessionError."""
+    """Raise SessionError for a cloud whose number of points is not that of the session's particles."""
     if len(cloud.xyz) != particle_count:
         raise SessionError(f"a cloud has {len(cloud.xyz)} points, the topology {particle_count}")
 
 
 def round_up(value: float) -> float:
-    """Return the value, rounded up to 1, 2 or 5 times a power of ten."""
+    """Return a value above 0, rounded up to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
 

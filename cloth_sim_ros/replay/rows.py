@@ -16,7 +16,7 @@ SIM_TIME, ROS_TIME, FRAME = "simulated time", "ros time", "frame"
 
 
 class Moment(NamedTuple):
-    """Simulated time, ROS time and frame index of a row, on Rerun's three timelines."""
+    """Simulated time [s], ROS time [ns] and frame index of a row, on Rerun's three timelines."""
 
     sim_time: float
     """Simulated time [s]."""
@@ -47,14 +47,14 @@ class Rows:
         return len(self._moments)
 
     def add(self, moment: Moment, **components: Any) -> None:
-        """Add a row; all rows of an entity have the same components."""
+        """Collect a row; all rows of an entity have the same components, each an array or a number."""
         self._moments.append(moment)
         for name, value in components.items():
             self._values.setdefault(name, []).append(value)
             self.size += getattr(value, "nbytes", 32)
 
     def send(self, recording: rr.RecordingStream) -> None:
-        """Send the collected rows to Rerun."""
+        """Send the collected rows to Rerun in one call, and clear them."""
         if not self._moments:
             return
         import rerun as rr

@@ -43,7 +43,7 @@ def save_recording(
     follow: bool = False,
     accuracy: bool = False,
 ) -> None:
-    """Write a session as a Rerun recording. Raises SessionError or OSError with the reason.
+    """Write a session as a Rerun recording (.rrd); with `follow`, until its end. Raises SessionError or OSError.
 
     The file appears when it is complete; with `follow` it appears at once and grows.
     """
@@ -66,7 +66,7 @@ def open_viewer(
     follow: bool = False,
     accuracy: bool = False,
 ) -> None:
-    """Show a session in a Rerun window. Raises SessionError, or ViewerError without a screen."""
+    """Start a Rerun window and send it a session. Raises SessionError, or ViewerError without a screen."""
     check_screen(
         "use --screenshot out.png for a picture, or --save out.rrd and open that with `rerun` on a machine with a "
         "screen; or a virtual screen: apt-get install xvfb xauth, then xvfb-run cloth_replay"
@@ -90,7 +90,7 @@ def save_picture(
     strain_limit: float | None = None,
     accuracy: bool = False,
 ) -> None:
-    """Save a picture (PNG) of a session at a simulated time [s]; by default at the end.
+    """Write a PNG of a session at a simulated time [s]; by default at the end. Raises SessionError or ViewerError.
 
     Raises:
         SessionError: if the session cannot be shown, with the reason.
@@ -122,7 +122,7 @@ def save_picture(
 def _with_accuracy(
     paths: Sequence[Path], scan: PreScan, is_requested: bool
 ) -> Iterator[tuple[PreScan, MeasuredAccuracy | None]]:
-    """Yield the scan and, if requested, the measured accuracy, whose files exist within the context."""
+    """Context that measures the accuracy, if requested; yields scan and accuracy, whose files exist within it."""
     if not is_requested:
         yield scan, None
         return

@@ -127,7 +127,7 @@ class ReplayStream:
         return self._moment.ros_time
 
     def add(self, message: Message) -> None:
-        """Show a recorded message.
+        """Show a recorded message of one of `topics`; rows are sent in batches. Raises SessionError for other bytes.
 
         Raises:
             SessionError: if its bytes do not fit the topic's type.
@@ -156,7 +156,7 @@ class ReplayStream:
                 self._log_text(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS[entry.level])
 
     def add_record(self, record: FrameRecord, ros_time: int) -> None:
-        """Show the events and numbers of a frame's record at a ROS time [ns].
+        """Show the events and numbers of a frame's record at a ROS time [ns]. Raises SessionError if one is invalid.
 
         Raises:
             SessionError: if one of its events is invalid.
@@ -182,13 +182,13 @@ class ReplayStream:
         self._view.show(moment)
 
     def add_all(self, messages: Iterable[Message]) -> None:
-        """Show all messages, and finish."""
+        """Show all messages, and finish. Raises SessionError for one whose bytes do not fit its topic."""
         for message in messages:
             self.add(message)
         self.finish()
 
     def flush(self) -> None:
-        """Send the collected rows to Rerun."""
+        """Send the collected rows to Rerun, and wait until it has them."""
         for table in self._tables.values():
             table.send(self._recording)
         self._recording.flush()

@@ -48,7 +48,7 @@ class ViewerError(Exception):
 
 
 class Viewer(NamedTuple):
-    """Process of a running Rerun viewer, and its address."""
+    """Process of a running Rerun viewer, and its address for recordings."""
 
     process: subprocess.Popen[bytes]
     address: str
@@ -62,7 +62,7 @@ def check_screen(remedy: str) -> None:
 
 
 def executable() -> Path:
-    """Return the path of the Rerun viewer's executable, beside its Python package."""
+    """Return the path of the Rerun viewer's executable, beside its package. Raises ViewerError if it is absent."""
     spec = importlib.util.find_spec("rerun_cli")
     if spec is None or spec.origin is None:
         raise ViewerError("the Rerun viewer is not installed: pip install 'cloth_sim_ros[replay]'")
@@ -70,7 +70,7 @@ def executable() -> Path:
 
 
 def open_window(*options: str) -> Viewer:
-    """Start a Rerun viewer with a window, which outlives this process; `options`: of its command line.
+    """Start a Rerun viewer with a window, which outlives this process; wait until it listens. Raises ViewerError.
 
     The viewer listens on the local interface only; the SDK's `spawn` would listen on all interfaces.
 
@@ -81,7 +81,7 @@ def open_window(*options: str) -> Viewer:
 
 
 def serve_page(port: int, *, memory: str) -> tuple[Viewer, str]:
-    """Start a Rerun viewer as a web page on this machine; return it and the page's address.
+    """Start a Rerun viewer as a web page on this machine; return it and the page's address. Raises ViewerError.
 
     Args:
         port: port of the page.
@@ -115,7 +115,7 @@ def _start(*options: str) -> Viewer:
 
 
 def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[int, int]) -> None:
-    """Render a recording without a screen or a GPU and save a PNG of `size` (width, height) pixels.
+    """Render a recording without a screen or a GPU; write a PNG of `size` (width, height) [pixels]. Raises ViewerError.
 
     `at`: simulated time [s]; by default the end. The viewer reads the recording from the disk.
 
@@ -200,7 +200,7 @@ def _settled_picture(client: ViewerClient) -> bytes:
 
 
 def viewer_error(log: Path, problem: str) -> ViewerError:
-    """Return the error of a viewer that failed, with the cause from its log."""
+    """Return, to be raised, the error of a viewer that failed, with the cause from its log file."""
     output = _COLOUR_CODES.sub("", log.read_text(errors="replace"))
     lines = [line.strip() for line in output.splitlines() if not _NOISE_PATTERN.search(line.strip())]
     # A panic has its reason in one line; otherwise the last lines count.

@@ -39,7 +39,7 @@ _ENDINGS = (".mcap", _SQLITE)
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Return the files of a bag in the order of recording. `path`: its folder, or one of its files.
+    """Return a bag folder's .mcap and .db3 files in recording order; of a file, a list of it. Raises SessionError.
 
     Raises:
         SessionError: for a folder without such files.
@@ -54,7 +54,7 @@ def bag_files(path: Path) -> list[Path]:
 
 
 def is_bag(path: Path) -> bool:
-    """Return True for the folder or the file of a bag that holds snapshots of a cloth, and for any SQLite file."""
+    """Return True if a file, or one in a folder, has snapshots of a cloth or is SQLite; False if it cannot be read."""
     if path.is_dir():
         return any(file.suffix in _ENDINGS and not file.is_dir() and is_bag(file) for file in path.iterdir())
     if path.suffix == _SQLITE:
@@ -77,7 +77,7 @@ def is_snapshot(topic: str, type_name: str) -> bool:
 
 
 def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
-    """Yield topic, type, log time [ns] and CDR bytes of each message with encoding `cdr`, in the order of the file.
+    """Yield (topic, type, log time [ns], CDR bytes) of a bag file's `cdr` messages, as recorded. Raises SessionError.
 
     A file that ends with .db3 is SQLite, one that ends with .bag is a bag of ROS 1, any other one is MCAP.
 
@@ -140,7 +140,7 @@ def _sqlite_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
 
 
 def _records(file: BinaryIO) -> Iterator[Schema | Channel | RawMessage]:
-    """Yield the schemas, channels and messages of an MCAP file, in chunks or outside of them."""
+    """Yield the schemas, channels and messages of an MCAP file, in or outside chunks. Raises DamagedRecordError."""
     position = len(MAGIC)
     if file.read(position) != MAGIC:
         raise DamagedRecordError("it does not begin as one")

@@ -42,7 +42,7 @@ _POSITION, _VELOCITY, _DEVIATION = ("x", "y", "z"), ("vx", "vy", "vz"), "deviati
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cloud:
-    """A sensor_msgs/PointCloud2. Its points are a view of the message's bytes."""
+    """Decoded sensor_msgs/PointCloud2: stamp [ns], size, and read-only views of the message's points."""
 
     stamp: int
     """Header stamp [ns]."""
@@ -60,7 +60,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshMessage:
-    """Triangles and vertices of a shape_msgs/Mesh, as views of the message's bytes."""
+    """Decoded shape_msgs/Mesh: particle indices (m, 3) and rest positions (n, 3) [m], views of the message's bytes."""
 
     triangles: NDArray[np.uint32]
     """Particle indices, shape (triangle_count, 3), read-only."""
@@ -69,7 +69,7 @@ class MeshMessage:
 
 
 def decode(data: bytes | memoryview, type_name: str) -> Any:
-    """Decode the CDR bytes of a standard ROS 2 message into an object with its fields.
+    """Decode a standard ROS 2 message's CDR bytes into an object with its fields. Raises SessionError for other bytes.
 
     Args:
         data: CDR bytes.
@@ -90,12 +90,12 @@ def decode(data: bytes | memoryview, type_name: str) -> Any:
 
 
 def encode(message: object, type_name: str) -> bytes:
-    """Encode a message, made by `message_class`, as CDR bytes (little-endian)."""
+    """Encode an instance of `message_class(type_name)` as CDR bytes (little-endian)."""
     return bytes(standard_types().serialize_cdr(message, type_name, little_endian=True))
 
 
 def message_class(type_name: str) -> Any:
-    """Return the class that `encode` takes and `decode` returns; its arguments are the message's fields.
+    """Return a message type's class, to construct with its fields for `encode`. Raises SessionError for unknown types.
 
     Raises:
         SessionError: for a type that is not in ROS 2 Jazzy's common interfaces.
@@ -119,7 +119,7 @@ def decode_string(data: bytes | memoryview) -> str:
 
 
 def decode_cloud(data: bytes | memoryview) -> Cloud:
-    """Decode a PointCloud2. Positions, and velocities if present, are views of `data`.
+    """Decode a PointCloud2 into a `Cloud`, whose positions and velocities are views of `data`. Raises SessionError.
 
     Raises SessionError unless x, y, z are float32 or float64.
     """
@@ -169,7 +169,7 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
 
 
 def _are_evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, str, str]) -> bool:
-    """Return True if three fields have one length and equal spacing. `fields`: offset and length [bytes] by name."""
+    """Return True if three fields exist, of one size, equally spaced. `fields`: offset and size [bytes] by name."""
     if not fields.keys() >= set(names):
         return False
     (first, first_length), (second, second_length), (third, third_length) = (fields[name] for name in names)
@@ -177,7 +177,7 @@ def _are_evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, 
 
 
 def decode_mesh(data: bytes | memoryview) -> MeshMessage:
-    """Decode a shape_msgs/Mesh as views of `data`. Raises SessionError if the bytes are not one."""
+    """Decode a shape_msgs/Mesh into a `MeshMessage`, views of `data`. Raises SessionError if the bytes are not one."""
     reader = _CdrReader(data, "shape_msgs/msg/Mesh")
     (triangle_count,) = reader.numbers("I")
     triangles = reader.array("<u4", triangle_count * 3)
@@ -200,7 +200,7 @@ class _CdrReader:
         self._position = 4
 
     def numbers(self, codes: str) -> tuple[int, ...]:
-        """Read consecutive numbers of one size. `codes`: struct codes, e.g. "II"."""
+        """Read numbers of one size, aligned, and advance. `codes`: struct codes, e.g. "II". Raises SessionError."""
         size = struct.calcsize("=" + codes[0])
         start = self._align(size)
         end = start + size * len(codes)
@@ -224,7 +224,7 @@ class _CdrReader:
         return start
 
     def array(self, dtype: str, count: int) -> NDArray[Any]:
-        """Read `count` consecutive numbers of a numpy dtype as a read-only view."""
+        """Read `count` numbers of a numpy dtype as a read-only view, and advance. Raises SessionError at the end."""
         kind = np.dtype(dtype if self._order == "<" else ">" + dtype[1:])
         if count:
             self._align(kind.itemsize)

@@ -23,7 +23,7 @@ MESSAGE_ENCODING = "cdr"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TypeDescription:
-    """Message type as stored in an MCAP schema."""
+    """Message type as stored in an MCAP schema: full name, text of its definition, and REP 2016 hash."""
 
     name: str
     """Full name, e.g. ``std_msgs/msg/String``."""
@@ -35,7 +35,10 @@ class TypeDescription:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Qos:
-    """Offered quality of service of a topic: infinite deadline, lifespan and lease; automatic liveliness."""
+    """Offered quality of service of a topic: reliability, durability, history, depth; otherwise the defaults.
+
+    The deadline, the lifespan and the lease are infinite; liveliness is automatic.
+    """
 
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
@@ -54,7 +57,7 @@ class Qos:
 
 @functools.cache
 def standard_types() -> Typestore:
-    """Return the message types of ROS 2 Jazzy's common interfaces; the first call takes about 70 ms."""
+    """Return rosbags' store of ROS 2 Jazzy's message types, cached; the first call takes about 70 ms."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)
@@ -62,7 +65,7 @@ def standard_types() -> Typestore:
 
 @functools.cache
 def describe(type_name: str) -> TypeDescription:
-    """Return definition and hash of a standard message type, e.g. ``sensor_msgs/msg/PointCloud2``.
+    """Return name, definition and hash of a standard message type, cached. Raises SessionError for any other type.
 
     Raises SessionError for a type that is not standard.
     """
@@ -75,5 +78,5 @@ def describe(type_name: str) -> TypeDescription:
 
 
 def channel_metadata(type_name: str, qos: Qos) -> dict[str, str]:
-    """Return a channel's quality of service and type hash as MCAP metadata, as rosbag2 writes them."""
+    """Return an MCAP channel's metadata as rosbag2 writes them: QoS as YAML, and type hash. Raises SessionError."""
     return {"offered_qos_profiles": qos.to_yaml(), "topic_type_hash": describe(type_name).type_hash}

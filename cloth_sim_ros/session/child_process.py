@@ -17,12 +17,12 @@ _SAFE, _PATH = "PYTHONSAFEPATH", "PYTHONPATH"
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line that runs a module in a separate Python; use it with `child_environment`."""
+    """Return the argument list that runs a module in a separate Python, with `child_environment()` as environment."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def overrides() -> dict[str, str]:
-    """Return environment variables that keep the working directory off the import path of a Python process."""
+    """Return the environment variables to set so that a Python imports nothing from its working directory."""
     changed = {_SAFE: "1"}
     if _PATH in os.environ:
         changed[_PATH] = os.pathsep.join(filter(None, os.environ[_PATH].split(os.pathsep)))
@@ -30,13 +30,13 @@ def overrides() -> dict[str, str]:
 
 
 def child_environment() -> dict[str, str]:
-    """Return this process's environment variables, changed to keep the working directory off the import path."""
+    """Return a copy of this process's environment for a child that imports nothing from the working directory."""
     return {**os.environ, **overrides()}
 
 
 @contextlib.contextmanager
 def safe_imports() -> Iterator[None]:
-    """Keep the working directory off the import path of processes that libraries (Dask, loky) start meanwhile."""
+    """Context that changes os.environ, so that processes started in it import nothing from the working directory."""
     changed = overrides()
     before = {name: os.environ.get(name) for name in changed}
     os.environ.update(changed)

@@ -63,7 +63,7 @@ class CloudPoints:
         return self._bytes.nbytes
 
     def write(self, *vectors: NDArray[np.float64] | None) -> memoryview:
-        """Write positions, then velocities and normals if the cloud has them, each of shape (3, n); return the bytes.
+        """Write positions, then velocities and normals if the cloud has them, each (3, n); return a view of the buffer.
 
         Those that are None are skipped.
         """
@@ -73,6 +73,6 @@ class CloudPoints:
         return self._bytes.data
 
     def write_deviation(self, deviation: NDArray[np.float64]) -> None:
-        """Store the deviation [m] of each point, shape (n,); the next `write` returns it with the vectors."""
+        """Store each point's deviation [m], shape (n,), for the next `write`; only if the cloud has that field."""
         assert self._deviation is not None
         self._deviation[:] = deviation

@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_session`; return its exit status."""
+    """Run the command `cloth_session` (its entry point); return its exit status, 130 after an interruption."""
     return run_command("cloth_session", "cloth_sim_ros.session.main", arguments)

@@ -19,10 +19,11 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextmanager
 def exit_on_signal(command: str) -> Iterator[None]:
-    """Context in which SIGINT, SIGTERM and SIGHUP end the process at once, with one line and status 130.
+    """Context for imports: until it ends, SIGINT, SIGTERM or SIGHUP exits the process at once with status 130.
 
-    For imports: nothing needs cleaning up yet, and an exception during an import would print a traceback or look like a
-    missing library. Call from the main thread. Ignored signals stay ignored.
+    The exit prints one line and cleans up nothing: during imports nothing needs it yet. An exception during an import
+    would print a traceback or look like a missing library. Call from the main thread. Ignored signals stay ignored.
+    The end of the context restores the previous handlers.
 
     Args:
         command: name of the command, for the message.
@@ -43,7 +44,7 @@ def exit_on_signal(command: str) -> Iterator[None]:
 
 
 def run_command(command: str, module: str, arguments: Sequence[str] | None) -> int:
-    """Import the module of a command and run its `main`; return the exit status.
+    """Import a command's module, run its `main(arguments)` and return its exit status; 130 after KeyboardInterrupt.
 
     Args:
         command: name of the command.

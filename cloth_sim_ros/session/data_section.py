@@ -45,7 +45,7 @@ _STRING = "std_msgs/msg/String"
 
 
 def is_fully_indexed(file: BinaryIO, summary: Summary, data_start: int) -> bool:
-    """Return True if the indexes name everything in the data section except the message indexes.
+    """Return True if a file's indexes name all records of its data section but message indexes, with right lengths.
 
     The lengths in the indexes are checked: one that is too large would hide a chunk.
     """
@@ -70,7 +70,7 @@ def is_fully_indexed(file: BinaryIO, summary: Summary, data_start: int) -> bool:
 
 
 def has_content_index(summary: Summary | None) -> bool:
-    """Return True if the indexes name every metadata record and every attachment of the file."""
+    """Return True if the summary names every metadata record and attachment; False without summary or statistics."""
     statistics = None if summary is None else summary.statistics
     if summary is None or statistics is None:
         return False
@@ -78,7 +78,7 @@ def has_content_index(summary: Summary | None) -> bool:
 
 
 def opening_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]:
-    """Yield locations of metadata and attachments before the first chunk or message. Raises DamagedRecordError."""
+    """Yield the locations of metadata and attachments before the first chunk or message. Raises DamagedRecordError."""
     position = data_start
     while (location := locate_record(file, position)) is not None and location.opcode not in (
         Opcode.CHUNK,
@@ -105,7 +105,7 @@ def content_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]
 
 
 def read_unchunked(file: BinaryIO, location: RecordLocation) -> Chunk | None:
-    """Return schemas, channels and messages outside of chunks, from `location` on, as one chunk without a checksum.
+    """Read schemas, channels and messages outside of chunks, from `location` on (1 MiB), as a chunk; None for others.
 
     None if `location` holds none of these. Raises DamagedRecordError if a record does not parse.
     """
@@ -132,7 +132,7 @@ def read_unchunked(file: BinaryIO, location: RecordLocation) -> Chunk | None:
 
 
 def check_data_end(file: BinaryIO, location: RecordLocation) -> None:
-    """Check the checksum of the data section, the only one of messages outside of chunks. Raises DamagedRecordError.
+    """Check the data section's checksum, if it has one, by reading the file up to there. Raises DamagedRecordError.
 
     A file without this checksum passes.
     """
@@ -151,7 +151,7 @@ def check_data_end(file: BinaryIO, location: RecordLocation) -> None:
 def check_not_stripped(
     path: Path, metadata: Mapping[str, str], attachments: Container[str], channels: Mapping[str, str]
 ) -> None:
-    """Refuse a bag of another recorder, and a copy of a session from which a tool left out the opening.
+    """Raise NotASessionError for another recorder's bag, StrippedSessionError for a session copied without its opening.
 
     Args:
         path: the file.
@@ -192,7 +192,7 @@ def _check_unchunked(location: RecordLocation, body: bytes) -> None:
 
 
 def _is_message_index(body: bytes) -> bool:
-    """Return True for the body of a message index: one flipped bit turns its opcode into that of a message.
+    """Return True if a record's body has the layout of a message index: one flipped bit makes its opcode a message's.
 
     In a message the same bytes are an arbitrary sequence number and a publish time, which is larger than any offset.
     """

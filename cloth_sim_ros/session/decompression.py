@@ -21,11 +21,11 @@ _LZ4_INPUT_BYTES, _LZ4_OUTPUT_BYTES = 1 << 20, 8 << 20
 
 
 class DecompressionError(ValueError):
-    """Error: compressed bytes do not unpack to their announced size, or announce too much."""
+    """Error: compressed bytes do not unpack to their announced size, announce too much, or use an unknown method."""
 
 
 def decompress(payload: bytes, compression: str, size: int) -> bytes:
-    """Return the decompressed content of a chunk, refused if it has another size than announced or is too large.
+    """Return a chunk's decompressed content. Raises DecompressionError unless it has the announced `size`.
 
     Args:
         payload: the compressed bytes.

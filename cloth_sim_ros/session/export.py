@@ -40,7 +40,7 @@ def export(
     end: float | None = None,
     on_progress: Callable[[], None] = lambda: None,
 ) -> int:
-    """Write the positions of all particles over time as .npz or Parquet; return the number of frames written.
+    """Write particle positions over time to a new .npz or .parquet file; return the frame count. Raises SessionError.
 
     Args:
         reader: the session.

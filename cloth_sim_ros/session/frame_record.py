@@ -22,7 +22,7 @@ _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "dig
 
 
 def frame_text(content: dict[str, Any]) -> str:
-    """Encode the members of a frame record as JSON, in the order of `content`, like `FrameRecord.to_json`.
+    """Return a frame record's JSON text from its members, in their order. Raises SessionError for NaN and infinities.
 
     Faster than `FrameRecord.to_json`: no record is constructed.
 
@@ -36,7 +36,7 @@ def frame_text(content: dict[str, Any]) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameRecord:
-    """Events and outcome of one frame: enough to run it again and to check the result."""
+    """Record of one frame: events, settings, steps and digest; enough to run it again and to check the result."""
 
     frame: int
     """Index of the frame at the end of this advance; constant while paused."""

@@ -35,7 +35,7 @@ class TopicSummary:
 
 @dataclass(slots=True)
 class SessionSummary:
-    """Counts and ranges from one pass over a session."""
+    """Counts, sizes, times and events of one session, which a `Summarizer` fills message by message."""
 
     topics: dict[str, TopicSummary] = field(default_factory=dict)
     first_time: int | None = None
@@ -71,7 +71,7 @@ class Summarizer:
         self._node = node
 
     def add(self, message: Message) -> None:
-        """Add one message to the summary."""
+        """Add the next message to `summary`. Raises SessionError for a frame, cloud or mesh that does not decode."""
         summary = self.summary
         topic = summary.topics.setdefault(message.topic, TopicSummary(message.type_name))
         topic.count += 1
@@ -113,7 +113,7 @@ class Summarizer:
 
 
 def render(reader: SessionReader, summary: SessionSummary) -> str:
-    """Format the summary for the terminal; the session must have been read to its end."""
+    """Return the summary as lines for the terminal; call it after `reader` has read the session to its end."""
     size = sum(part.size() for part in reader.parts)
     lines = [part.path.name for part in reader.parts[:3]]
     if len(reader.parts) > 3:
@@ -143,7 +143,7 @@ def render(reader: SessionReader, summary: SessionSummary) -> str:
 
 
 def to_json(reader: SessionReader, summary: SessionSummary) -> dict[str, Any]:
-    """Return the summary as plain JSON objects."""
+    """Return the summary as a JSON object (dict); call it after `reader` has read the session to its end."""
     return {
         "files": [str(part.path) for part in reader.parts],
         "bytes": sum(part.size() for part in reader.parts),

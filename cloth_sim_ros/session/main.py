@@ -16,7 +16,7 @@ from cloth_sim_ros.session.plurals import pluralize
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command. Return 0 on success, 1 if the session is incomplete, 2 on an error."""
+    """Run `cloth_session`; return 0, 1 if a session is incomplete, 2 on an error, 130 after an interruption."""
     escape_unencodable()
     options = _parser().parse_args(arguments)
     try:
@@ -93,7 +93,7 @@ def _info(options: argparse.Namespace) -> int:
 
 
 def _summary(files: list[Path], *, as_json: bool) -> tuple[object, bool]:
-    """Return the summary of one session, as text or JSON, and True if the session is incomplete."""
+    """Read a session to its end; return its summary (text, or a dict if `as_json`), and True if it is incomplete."""
     from tqdm import tqdm
 
     from cloth_sim_ros.session.info import Summarizer, render, to_json

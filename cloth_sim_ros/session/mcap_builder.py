@@ -48,7 +48,7 @@ _INDEX_HEADER = struct.Struct("<BQHI")
 
 
 def compressor(compression: str) -> Callable[[bytes], bytes]:
-    """Return the function that compresses one chunk by a method: none (or empty), lz4 or zstd.
+    """Return the function that compresses a chunk's bytes: none (or empty), lz4 or zstd. Raises SessionError otherwise.
 
     Raises SessionError for an unknown name or a missing package.
     """
@@ -85,7 +85,7 @@ def _encode_all(records: Sequence[McapRecord]) -> bytes:
 
 @dataclass(slots=True)
 class _OpenChunk:
-    """Records added since the last chunk was closed."""
+    """Declarations and messages since the last committed chunk, with their message index."""
 
     parts: list[bytes] = field(default_factory=list)
     size: int = 0
@@ -102,7 +102,7 @@ class _OpenChunk:
 
 @dataclass(frozen=True, slots=True)
 class PackedChunk:
-    """Encoded chunk, and its entries for the file's indexes."""
+    """Encoded chunk: its bytes, its index entry with offsets relative to its start, and message counts by channel."""
 
     parts: tuple[bytes, ...]
     """Chunk record and message index records."""
@@ -151,7 +151,7 @@ class McapBuilder:
         return self._times
 
     def encode_opening(self, *, library: str, metadata: list[Metadata], attachments: list[Attachment]) -> bytes:
-        """Encode the beginning of the file: magic, header, metadata and attachments."""
+        """Return the file's first bytes (magic, header, metadata, attachments), and register them for the indexes."""
         parts = [MAGIC, encode_record(Header(profile="ros2", library=library))]
         offset = sum(map(len, parts))
         for record in [*metadata, *attachments]:
@@ -167,7 +167,7 @@ class McapBuilder:
     def add_channel(
         self, *, topic: str, schema: tuple[str, str, bytes], encoding: str, metadata: dict[str, str]
     ) -> int:
-        """Declare a channel in the open chunk; return its id. `schema`: name, encoding, definition."""
+        """Declare a channel and its schema in the open chunk; return its id. `schema`: name, encoding, definition."""
         name, schema_encoding, schema_data = schema
         if name not in self._schemas:
             schema_id = len(self._schemas) + 1
@@ -180,7 +180,7 @@ class McapBuilder:
         return channel.id
 
     def add_message(self, channel: int, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
-        """Add a message to the open chunk; times in nanoseconds since the epoch."""
+        """Add a message to the open chunk. `channel`: id from `add_channel`; times in nanoseconds since the epoch."""
         chunk = self._chunk
         if not chunk.message_count or log_time < chunk.first_time:
             chunk.first_time = log_time
@@ -193,7 +193,7 @@ class McapBuilder:
         chunk.size += _MESSAGE_HEADER_SIZE + length
 
     def pack_chunk(self) -> PackedChunk:
-        """Compress the open chunk and compute its checksum. The chunk stays open until `commit`."""
+        """Return the open chunk compressed, with checksum and indexes. The chunk stays open until `commit`."""
         chunk = self._chunk
         raw = b"".join(chunk.parts)
         return pack_chunk_record(
@@ -206,13 +206,13 @@ class McapBuilder:
         )
 
     def commit(self, packed: PackedChunk, offset: int) -> None:
-        """Register a chunk that was written at `offset` of the file, and open the next."""
+        """Register the packed chunk as written at `offset`, and open an empty one; changes `packed.index`."""
         self.add_chunk_index(packed, offset)
         self._declared_counts = (len(self._schemas), len(self._channels))
         self._chunk = _OpenChunk()
 
     def add_chunk_index(self, packed: PackedChunk, offset: int) -> None:
-        """Add a chunk that was written at `offset` of the file, e.g. a copied one, to the file's indexes."""
+        """Add a chunk written at `offset`, e.g. a copied one, to the file's indexes; changes `packed.index`."""
         index = packed.index
         index.chunk_start_offset += offset
         index.message_index_offsets = {key: value + offset for key, value in index.message_index_offsets.items()}
@@ -224,19 +224,19 @@ class McapBuilder:
         self._times = (first, last) if self._times is None else (min(first, self._times[0]), max(last, self._times[1]))
 
     def set_declarations(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-        """Set the schemas and channels, by id, that copied chunks declare, for the file's indexes."""
+        """Replace the schemas and channels (by id) of the file's indexes by those that copied chunks declare."""
         self._schemas = {str(key): schema for key, schema in schemas.items()}
         self._channels = dict(channels)
         self._declared_counts = (len(schemas), len(channels))
 
     def encode_metadata(self, record: Metadata, offset: int) -> bytes:
-        """Encode a metadata record that the caller writes at `offset` of the file."""
+        """Return a metadata record's bytes and register it for the indexes; the caller writes it at `offset`."""
         raw = encode_record(record)
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(raw), name=record.name))
         return raw
 
     def encode_closing(self, offset: int) -> bytes:
-        """Encode the end of the file, to be written at `offset`: end of the data section, indexes and footer.
+        """Return the file's last bytes, to be written at `offset`: end of the data section, indexes and footer.
 
         The contents of the open chunk are left out, including its declarations.
         """
@@ -282,7 +282,7 @@ class McapBuilder:
 def pack_chunk_record(
     *, payload: bytes, compression: str, raw_size: int, crc: int, times: tuple[int, int], indexes: dict[int, list[int]]
 ) -> PackedChunk:
-    """Encode a chunk from compressed contents, and its index: log time [ns], offset, log time ... by channel."""
+    """Encode a chunk from compressed contents, with indexes: by channel, log time [ns], offset [bytes], log time ..."""
     name = compression.encode()
     tail = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(payload))
     body = _CHUNK_HEADER.size - 9 + len(tail) + len(payload)

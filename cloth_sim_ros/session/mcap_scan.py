@@ -56,7 +56,7 @@ class DamagedRecordError(SessionError):
 
 
 class RawMessage(NamedTuple):
-    """Message record of an MCAP file, its data not decoded."""
+    """Message record of an MCAP file: channel id, sequence, log and publish time [ns], and data, not decoded."""
 
     channel: int
     sequence: int
@@ -67,7 +67,7 @@ class RawMessage(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RecordLocation:
-    """Location of a complete record in the file."""
+    """Opcode, offset and body size [bytes] of a record in the file."""
 
     opcode: int
     offset: int
@@ -76,7 +76,7 @@ class RecordLocation:
 
     @property
     def end(self) -> int:
-        """Offset of the next record."""
+        """Offset behind the record, where the next one begins [bytes]."""
         return self.offset + _RECORD_HEADER.size + self.body_size
 
 
@@ -96,7 +96,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The indexes at the end of a finished file, their checksum verified."""
+    """Indexes at the end of a finished file: schemas, channels, chunks, attachments; their checksum is verified."""
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
@@ -110,7 +110,7 @@ class Summary:
 
 
 def locate_record(file: BinaryIO, offset: int) -> RecordLocation | None:
-    """Return the record's location at `offset`; None if the file ends within it. Raises DamagedRecordError."""
+    """Return the record's location at `offset`; None if the file ends before its end. Raises DamagedRecordError."""
     size = file.seek(0, 2)
     if offset >= size:
         return None
@@ -139,7 +139,7 @@ class ChunkSearch:
         self._searched_bytes = 0
 
     def find(self, offset: int) -> int | None:
-        """Return the offset of the next chunk at or after `offset` that passes its checksum; None if there is none."""
+        """Return the offset of the next intact chunk from `offset` on; None without one, or at a work limit."""
         size = self._file.seek(0, 2)
         while offset < size:
             self._file.seek(offset)
@@ -196,7 +196,7 @@ def _check_size(file: BinaryIO, location: RecordLocation, limit: int) -> None:
 
 
 def read_chunk(file: BinaryIO, location: RecordLocation) -> Chunk:
-    """Read, decompress and check a chunk. Raises DamagedRecordError; SessionError without its decompressor."""
+    """Read, decompress and verify a chunk. Raises DamagedRecordError; SessionError without a decompressor."""
     file.seek(location.offset)
     if file.read(RECORD_HEADER_SIZE) != _RECORD_HEADER.pack(Opcode.CHUNK, location.body_size):
         raise DamagedRecordError(f"byte {location.offset} begins no chunk of {location.body_size} bytes")
@@ -226,7 +226,7 @@ def read_chunk(file: BinaryIO, location: RecordLocation) -> Chunk:
 
 
 def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawMessage]]:
-    """Yield schemas, channels and messages in order, each with its span in the chunk. Raises DamagedRecordError."""
+    """Yield (span in the chunk, record) of its schemas, channels and messages, in order. Raises DamagedRecordError."""
     raw = chunk.raw
     position = 0
     while position < len(raw):
@@ -254,7 +254,7 @@ def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawM
 
 
 def parse_message(body: bytes, offset: int) -> RawMessage:
-    """Parse a message outside of chunks. Raises DamagedRecordError."""
+    """Parse a message record's body. `offset`: for the error message. Raises DamagedRecordError if it is cut off."""
     if len(body) < _MESSAGE.size:
         raise DamagedRecordError(f"the message at byte {offset} is cut off")
     return RawMessage._make((*_MESSAGE.unpack_from(body), body[_MESSAGE.size :]))
@@ -290,7 +290,7 @@ def read_attachment(file: BinaryIO, location: RecordLocation) -> Attachment:
 
 
 def _read_text(body: bytes, position: int) -> tuple[str, int]:
-    """Read a text with its length prefix; return it and the offset of its end."""
+    """Return the text behind the length at `position`, and the offset of its end. Raises struct.error if cut off."""
     (size,) = struct.unpack_from("<I", body, position)
     text = body[position + 4 : position + 4 + size]
     if len(text) < size:
@@ -299,10 +299,7 @@ def _read_text(body: bytes, position: int) -> tuple[str, int]:
 
 
 def read_summary(file: BinaryIO) -> Summary | None:
-    """Read the indexes of a finished file; None if the file is unfinished.
-
-    Raises DamagedRecordError if the indexes of a finished file fail their checksum.
-    """
+    """Read the indexes of a finished file; None if it is unfinished. Raises DamagedRecordError if they are damaged."""
     size = file.seek(0, 2)
     if size < len(MAGIC) + _FOOTER_SIZE:
         return None

@@ -13,13 +13,13 @@ _HEAD = struct.Struct("<HI")
 
 
 def pack(topic: str, data: bytes) -> bytes:
-    """Return a message as bytes for the pipe: lengths, topic and contents."""
+    """Return a message as bytes for the pipe: lengths, topic and contents, which `unpack` reads."""
     name = topic.encode()
     return b"".join((_HEAD.pack(len(name), len(data)), name, data))
 
 
 def unpack(stream: BinaryIO) -> Iterator[tuple[str, bytes]]:
-    """Yield topic and contents of each message until the pipe ends; a message that was cut off is left out."""
+    """Yield (topic, contents) of each message; blocks until the pipe ends. A message that was cut off is left out."""
     while len(head := stream.read(_HEAD.size)) == _HEAD.size:
         name_length, length = _HEAD.unpack(head)
         body = stream.read(name_length + length)

@@ -65,7 +65,7 @@ class CloudEncoder:
         return len(_LITTLE) + 8 + len(self._constant_part)
 
     def with_normals_of(self, data: bytes, source: bytes) -> bytes:
-        """Return a cloud's bytes with the normals of another cloud's; both have the layout of this encoder."""
+        """Return cloud bytes `data` with the normals of cloud `source`, both of this layout; `data` if one is short."""
         points, start = self._points, self.points_offset
         if min(len(data), len(source)) < start + points.size:
             return data
@@ -85,7 +85,7 @@ class CloudEncoder:
         normals: NDArray[np.float64] | None = None,
         deviation: NDArray[np.float64] | None = None,
     ) -> bytes:
-        """Encode positions x [m] and, if the cloud has them, velocities v [m/s] and normals, all of shape (3, n).
+        """Return CDR bytes of positions x [m] and, if the cloud has them, velocities v [m/s] and normals, all (3, n).
 
         `deviation`: deviation of each particle [m], shape (n,), if the cloud has that field.
         """
@@ -96,7 +96,7 @@ class CloudEncoder:
 
 
 def mesh_bytes(triangles: ArrayLike, vertices: ArrayLike) -> bytes:
-    """Encode a shape_msgs/Mesh: particle indices of the triangles (m, 3), rest positions [m] (n, 3)."""
+    """Encode a shape_msgs/Mesh as CDR bytes: particle indices of the triangles (m, 3), rest positions [m] (n, 3)."""
     triangle_indices = np.ascontiguousarray(triangles, dtype="<u4")
     positions = np.ascontiguousarray(vertices, dtype="<f8")
     header = struct.pack("<I", len(triangle_indices)) + triangle_indices.tobytes() + struct.pack("<I", len(positions))
@@ -104,22 +104,22 @@ def mesh_bytes(triangles: ArrayLike, vertices: ArrayLike) -> bytes:
 
 
 def pose_bytes(position: Iterable[float], orientation: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
-    """Encode a geometry_msgs/PoseStamped: position [m], quaternion x, y, z, w."""
+    """Encode a geometry_msgs/PoseStamped as CDR bytes: position [m], quaternion x, y, z, w; stamp [ns]."""
     return _encode_stamped(frame_id, stamp, (*position, *orientation))
 
 
 def point_bytes(position: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
-    """Encode a geometry_msgs/PointStamped: position [m]."""
+    """Encode a geometry_msgs/PointStamped as CDR bytes: position [m], stamp [ns]."""
     return _encode_stamped(frame_id, stamp, tuple(position))
 
 
 def wrench_bytes(wrench: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
-    """Encode a geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
+    """Encode a geometry_msgs/WrenchStamped as CDR bytes: 6 numbers, force [N], then torque [N m]; stamp [ns]."""
     return _encode_stamped(frame_id, stamp, tuple(map(float, wrench)))
 
 
 def transforms_bytes(frames: Iterable[tuple[str, Iterable[float]]], *, frame_id: str, stamp: int) -> bytes:
-    """Encode a tf2_msgs/TFMessage: names with pose in the parent frame, position [m] and quaternion x, y, z, w."""
+    """Encode a tf2_msgs/TFMessage: pairs of name and pose in `frame_id`, position [m] and quaternion x, y, z, w."""
     frame_list = list(frames)
     body = bytearray(struct.pack("<I", len(frame_list)))
     for name, pose in frame_list:
@@ -129,7 +129,7 @@ def transforms_bytes(frames: Iterable[tuple[str, Iterable[float]]], *, frame_id:
 
 
 def bool_bytes(value: bool) -> bytes:
-    """Encode a std_msgs/Bool."""
+    """Encode a std_msgs/Bool as CDR bytes."""
     return _LITTLE + bytes([value])
 
 

@@ -37,7 +37,7 @@ MOVED = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the new command on standard error; return 2."""
+    """Print the command that replaces the old `cloth_bench` on standard error; return exit status 2."""
     name, *options = (sys.argv[1:] if arguments is None else arguments) or [""]
     commands = []
     for target, names in MOVED.items():

@@ -57,7 +57,7 @@ SESSION_SUMMARY = {"least": "min", "most": "max"}
 
 
 def add_old_keys(tree: Any, current_keys: Mapping[str, str]) -> Any:
-    """Return a copy of a JSON tree in which each object also has the old keys of its entries.
+    """Return a copy of a JSON tree whose objects have each renamed entry by its old key, too.
 
     Args:
         tree: JSON objects, lists and scalars.
@@ -74,7 +74,7 @@ def add_old_keys(tree: Any, current_keys: Mapping[str, str]) -> Any:
 def current_entries(
     entries: Iterable[tuple[str, _Entry]], current_keys: Mapping[str, str]
 ) -> Iterator[tuple[str, _Entry]]:
-    """Yield entries by their current keys, without an old key whose current key is present.
+    """Yield (key, entry) pairs with old keys renamed; an old key is skipped if its current key is present, too.
 
     Args:
         entries: pairs of key and entry, with current keys, old keys or both.

@@ -22,7 +22,7 @@ _MAX_PART_DIGITS = 10
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a file on disk for reading. Raises SessionError for a missing file, folder, device or pipe."""
+    """Open a file on disk to read bytes. Raises SessionError if it is absent, unreadable, a folder, device or pipe."""
     try:
         mode = path.stat().st_mode
         # Opening a pipe would wait for its writer, and a device may never end.
@@ -55,7 +55,7 @@ def check_header(file: BinaryIO, path: Path) -> int:
 
 
 def check_contents(path: Path, metadata: Mapping[str, str], attachments: Container[str]) -> None:
-    """Refuse an opening with missing or damaged metadata, or without scene and state."""
+    """Raise NotASessionError or DamagedSessionError for an opening with absent or damaged metadata, scene or state."""
     if not metadata:
         cause = f"an MCAP without the metadata record {METADATA_NAME!r}"
         raise NotASessionError(f"{path} is {cause}: cloth_sim did not record it")

@@ -28,7 +28,7 @@ class OutputError(SessionError):
 def check_outputs(
     outputs: Mapping[str, Path | None], inputs: Sequence[Path], *, endings: Mapping[str, str] | None = None
 ) -> None:
-    """Refuse outputs that would overwrite a session or an input, or cannot be written.
+    """Raise OutputError for outputs that would overwrite a session or an input, or cannot be written.
 
     Call it before the work. Other existing files may be replaced. Devices and pipes are written directly.
 
@@ -55,7 +55,7 @@ def check_outputs(
 
 @contextlib.contextmanager
 def atomic_write(target: Path, *, replace: bool = True) -> Iterator[Path]:
-    """Yield an empty hidden file beside the target; on success it gets the target's name.
+    """Yield a new hidden file's path; on success it becomes `target`, after an error it is removed. Raises OSError.
 
     After an error or an interruption the hidden file is removed. The target keeps its old contents, also after a power
     loss. If `target` is a device or a pipe, it is yielded itself.

@@ -58,7 +58,7 @@ _MAX_PROBED_MESSAGES = 1000
 
 
 class Message(NamedTuple):
-    """Recorded message with its topic, type, times and index on the topic."""
+    """Recorded message: topic, type, CDR bytes, log and publish time [ns], and index on the topic."""
 
     topic: str
     type_name: str
@@ -73,14 +73,14 @@ class Message(NamedTuple):
 
 
 class SessionPart:
-    """One file of a session, for reading.
+    """Reader of one session file, finished or still growing; it opens the file and reads metadata and attachments.
 
     Call `chunks` and `messages` again while the file grows; they continue at the current position. Damaged records are
     skipped and reported in `damage`, or raised as DamagedSessionError if `strict`.
     """
 
     def __init__(self, path: Path | str, *, strict: bool = False) -> None:
-        """Open a file and read its beginning. Raises NotASessionError or DamagedSessionError with the reason."""
+        """Open a file and read its opening. Raises SessionError: unreadable, not a session, or damaged."""
         self.path = Path(path)
         self.metadata: Mapping[str, str] = {}
         """Versions, machine, node, period ... at the start of the recording."""
@@ -128,7 +128,7 @@ class SessionPart:
 
     @property
     def scene_yaml(self) -> str:
-        """Effective parameters at the file's beginning, as a ROS parameter file."""
+        """Effective parameters at the file's beginning, as a ROS parameter file. Raises UnicodeDecodeError."""
         return self.attachments[SCENE_NAME].data.decode()
 
     @property
@@ -138,7 +138,7 @@ class SessionPart:
 
     @property
     def files(self) -> dict[str, bytes]:
-        """Contents of the files that parameters name, by that name."""
+        """Contents (bytes) of the files that parameters name, such as a mesh, by that name."""
         return {
             name.removeprefix(FILE_PREFIX): attachment.data
             for name, attachment in self.attachments.items()
@@ -147,7 +147,7 @@ class SessionPart:
 
     @property
     def finished(self) -> bool:
-        """True if the file was closed properly and its indexes are intact."""
+        """True if the file was closed properly with intact indexes; at the end of a grown file, reads them."""
         if self._summary is None and self._at_end and not self._summary_damage:
             # A file that was growing when it was opened may have its indexes now.
             self._read_summary()
@@ -160,7 +160,7 @@ class SessionPart:
 
     @property
     def indexed(self) -> bool:
-        """True if the indexes name the whole contents; otherwise the file is read record by record."""
+        """True if the indexes name all contents (checked at the first access); else the file is read in full."""
         if self._summary is None:
             return False
         if self._fully_indexed is None:
@@ -191,7 +191,7 @@ class SessionPart:
         return is_being_written(self._file.fileno())
 
     def rewind(self) -> None:
-        """Go back to the first chunk."""
+        """Go back to the first chunk and clear the damage that was reported while reading."""
         self._position = self._data_start
         self._at_end = False
         self._damage: list[str] = []
@@ -217,7 +217,7 @@ class SessionPart:
         return f"{self.path.name}: {'; '.join(deficits)}" if deficits else None
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:
-        """Yield the chunks from the current position to the last intact one; messages outside of chunks form one, too.
+        """Yield the chunks from `position` to the last intact one; messages outside of chunks form one, too.
 
         In a finished file, chunks outside of the log times [`start`, `end`) [ns] are skipped.
         """
@@ -229,7 +229,7 @@ class SessionPart:
     def messages(
         self, *, topics: frozenset[str] | None = None, start: int | None = None, end: int | None = None
     ) -> Iterator[Message]:
-        """Yield the messages from the current position to the last intact chunk, in the order of recording."""
+        """Yield messages from `position` to the last intact chunk: of `topics`, log times in [start, end) [ns]."""
         for chunk in self.chunks(start=start, end=end):
             channels: dict[int, tuple[str, str] | None] = {}
             for _, raw in chunk_records(chunk):
@@ -252,17 +252,17 @@ class SessionPart:
             self._channels[record.id] = record
 
     def channel(self, channel_id: int) -> tuple[str, str] | None:
-        """Return topic and type of a channel; None if its declaration was lost or not yet read."""
+        """Return (topic, type) of a channel id; None if its declaration was lost or not yet read."""
         record = self._channels.get(channel_id)
         schema = None if record is None else self._schemas.get(record.schema_id)
         return None if record is None or schema is None else (record.topic, schema.name)
 
     def report_undeclared(self, channel_id: int, location: RecordLocation) -> None:
-        """Report messages that are skipped because the declaration of their channel is lost."""
+        """Add to `damage` that a chunk's messages are skipped because their channel's declaration is lost."""
         self._damage.append(f"the chunk at byte {location.offset} has messages of channel {channel_id}, never declared")
 
     def declarations(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
-        """Return the schemas and channels read so far, by id."""
+        """Return copies of the schemas and channels read so far, two dicts by id."""
         return dict(self._schemas), dict(self._channels)
 
     def _read_summary(self) -> None:
@@ -277,7 +277,7 @@ class SessionPart:
             self._channels.update(self._summary.channels)
 
     def _read_contents(self) -> None:
-        """Read metadata and attachments: by the indexes (tools may move the records), otherwise before the chunks."""
+        """Read metadata and attachments into the attributes: by the indexes, or else before the chunks."""
         summary = self._summary
         try:
             if summary is not None and has_content_index(summary):
@@ -296,7 +296,7 @@ class SessionPart:
             raise DamagedSessionError(f"{self.path}: {error}; {consequence}") from error
 
     def _read_channels(self) -> dict[str, str]:
-        """Return message types by topic, from the file's indexes or from its first messages."""
+        """Rewind, and return message types by topic, from the file's indexes or from its first messages."""
         self.rewind()
         for _ in itertools.islice(self.messages(), 0 if self._channels else _MAX_PROBED_MESSAGES):
             pass
@@ -361,7 +361,7 @@ class SessionPart:
                 return
 
     def _read_record(self, location: RecordLocation) -> Chunk | None:
-        """Read one record of the data section; return it if it is a chunk."""
+        """Return a chunk; register metadata, attachments or the end and return None. Raises DamagedRecordError."""
         if location.opcode == Opcode.CHUNK:
             return read_chunk(self._file, location)
         unchunked = read_unchunked(self._file, location)
@@ -380,7 +380,7 @@ class SessionPart:
         return None
 
     def _check_data_end(self, location: RecordLocation) -> None:
-        """Check messages outside of chunks by the checksum of the data section."""
+        """Check messages outside of chunks by the data section's checksum; report a mismatch as damage."""
         if self._has_unchunked:
             try:
                 check_data_end(self._file, location)
@@ -388,7 +388,7 @@ class SessionPart:
                 self._report_damage(error)
 
     def _skip_to_next_chunk(self) -> bool:
-        """Skip a record whose length exceeds the file; return True if an intact chunk follows."""
+        """Skip a record whose length exceeds the file, to the next intact chunk; return False without one."""
         if self._position >= self.size():
             return False
         next_chunk = self._search.find(self._position)

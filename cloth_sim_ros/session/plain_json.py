@@ -15,7 +15,7 @@ _MAX_DEPTH = 64
 
 
 def loads(text: str, *, max_length: int = MAX_TEXT_LENGTH, **hooks: Any) -> Any:
-    """Parse untrusted JSON, whose length, depth and number of values are limited.
+    """Parse untrusted JSON. Raises ValueError if it is invalid or exceeds limits of length, depth or number of values.
 
     Args:
         text: JSON.

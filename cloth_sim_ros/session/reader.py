@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedCloud:
-    """A cloud and the record of its frame."""
+    """Cloud with the record of its frame (None if that is missing) and its log time [ns]."""
 
     frame: FrameRecord | None
     """None if the frame's record is missing."""
@@ -32,7 +32,7 @@ class RecordedCloud:
 
 
 class SessionReader:
-    """Reader of a session as a stream, with one chunk in memory at a time.
+    """Reader of a session's files as a stream, a context manager, with one chunk in memory at a time.
 
     Messages come in the order of recording. Damaged chunks are skipped and reported in `missing`, or raised as
     DamagedSessionError if `strict`. No message of a chunk with a wrong checksum is returned.
@@ -78,7 +78,7 @@ class SessionReader:
 
     @property
     def scene_yaml(self) -> str:
-        """Effective parameters at the first file's snapshot, as a ROS parameter file."""
+        """Effective parameters at the first file's beginning, as a ROS parameter file. Raises UnicodeDecodeError."""
         return self._parts[0].scene_yaml
 
     @property
@@ -88,7 +88,7 @@ class SessionReader:
 
     @property
     def files(self) -> Mapping[str, bytes]:
-        """Contents of the files that parameters name, by that name."""
+        """Contents (bytes) of the files that parameters name, such as a mesh, by that name."""
         return self._parts[0].files
 
     @property
@@ -110,24 +110,24 @@ class SessionReader:
     def messages(
         self, topics: Iterable[str] | None = None, *, start: int | None = None, end: int | None = None
     ) -> Iterator[Message]:
-        """Yield messages in the order of recording: of all or some topics, with log times in [start, end) [ns]."""
+        """Yield messages from the session's start, in order: of all or some topics, log times in [start, end) [ns]."""
         selected_topics = None if topics is None else frozenset(topics)
         for part in self._parts:
             part.rewind()
             yield from part.messages(topics=selected_topics, start=start, end=end)
 
     def frames(self, *, start: int | None = None, end: int | None = None) -> Iterator[FrameRecord]:
-        """Yield the frame records with log times in [start, end) [ns]."""
+        """Yield the frame records with log times in [start, end) [ns]. Raises SessionError for an invalid record."""
         for message in self.messages([f"{self.node}/frame"], start=start, end=end):
             yield read_frame(message)
 
     def clouds(self, *, start: int | None = None, end: int | None = None) -> Iterator[RecordedCloud]:
-        """Yield the clouds, each with the record of its frame, which precedes it and has the same publish time."""
+        """Yield the clouds with log times in [start, end) [ns], each with its frame's record, if that precedes it."""
         topics = [f"{self.node}/frame", f"{self.node}/points"]
         yield from pair_clouds(self.messages(topics, start=start, end=end), self.node)
 
     def topology(self) -> MeshMessage | None:
-        """Return the cloth's triangles and rest shape; None if the session holds none."""
+        """Return triangles and rest shape from the first topology message; None if the session holds none."""
         from cloth_sim_ros.session.cdr import decode_mesh
 
         for message in self.messages([f"{self.node}/topology"]):
@@ -137,7 +137,7 @@ class SessionReader:
     def follow(
         self, topics: Iterable[str] | None = None, *, poll: float = 0.1, keep_waiting: Callable[[], bool] = lambda: True
     ) -> Iterator[Message]:
-        """Yield the messages of a session during its recording: first the existing ones, then new ones.
+        """Yield the messages of a session during its recording: existing ones, then new ones; blocks until it ends.
 
         Polls the file every `poll` seconds and opens further files of a split session when they appear. Ends with the
         recording, with the death of its process, or if `keep_waiting` returns False.
@@ -166,14 +166,14 @@ class SessionReader:
 
 
 def read_frame(message: Message) -> FrameRecord:
-    """Decode the frame record in a message of the ``<node>/frame`` channel."""
+    """Decode the frame record in a message of the ``<node>/frame`` channel. Raises SessionError if it is invalid."""
     from cloth_sim_ros.session.cdr import decode_string
 
     return FrameRecord.from_json(decode_string(message.data))
 
 
 def pair_clouds(messages: Iterable[Message], node: str) -> Iterator[RecordedCloud]:
-    """Yield clouds with their frame records, from a stream of both."""
+    """Yield a `RecordedCloud` for each cloud, with the frame record before it if their publish times are equal."""
     from cloth_sim_ros.session.cdr import decode_cloud
 
     frame: Message | None = None
@@ -199,7 +199,7 @@ def _check_order(parts: Sequence[SessionPart]) -> None:
 
 
 def session_files(path: Path | str) -> list[Path]:
-    """Return all files of a file's session, in order, as far as they are in the same folder.
+    """Return all files of a file's session in its folder, in order. Raises SessionError if it is not a session.
 
     Raises SessionError if the file is not a session.
     """
@@ -212,7 +212,7 @@ def session_files(path: Path | str) -> list[Path]:
 
 
 def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
-    """Group files by session: consecutive parts of one session form a group.
+    """Yield lists of consecutive files of one session each, in the given order.
 
     An unreadable file forms its own group; reading it later raises the reason.
     """
@@ -233,7 +233,7 @@ def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
 
 
 def _open_next_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
-    """Open the next file of a split session; None if it does not exist."""
+    """Open the file that continues a split part; None if the part did not end by a split, or the file is absent."""
     if part.end_notes.get("reason") != "split":
         return None
     next_part = None
@@ -245,7 +245,7 @@ def _open_next_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
 
 
 def _siblings(part: SessionPart) -> Iterator[SessionPart]:
-    """Yield the other files of the same session in the same folder, open."""
+    """Yield open readers of the session's other files in the same folder; the caller closes them."""
     for path in sorted(part.path.parent.glob(f"*{part.path.suffix}")):
         if path == part.path:
             continue

@@ -66,12 +66,12 @@ class _Stop:
 
 
 def session_stem(name: str, start: datetime.datetime) -> str:
-    """Return the stem of a session's files, e.g. ``cloth_sim_2026-11-21T05-14-00``."""
+    """Return the stem of a session's files from name and start time, e.g. ``cloth_sim_2026-11-21T05-14-00``."""
     return f"{name}_{start:%Y-%m-%dT%H-%M-%S}"
 
 
 class Recorder:
-    """Recorder of a session from any thread without blocking: `record` and `split` only append to a queue.
+    """Recorder of a session by its own thread: `record` and `split`, from any thread, only append to a queue.
 
     The recorder's thread does all disk work, including the creation of the file. If the disk is too slow, droppable
     messages are dropped and counted; the others are queued in at most ``backlog_bytes`` of memory. A disk error ends
@@ -132,7 +132,7 @@ class Recorder:
             raise RecordingError(f"cannot record into {self._folder}: {reason}; {remedy}") from error
 
     def wait_until_open(self, timeout: float = 10.0) -> Path:
-        """Wait until the first file exists; return its path. Raises RecordingError with the reason on failure."""
+        """Wait at most `timeout` [s] for the first file; return its path. Raises RecordingError with the reason."""
         if not self._opened.wait(timeout):
             raise RecordingError(f"{self._folder} did not take a new file within {timeout:g} s; is its disk stuck?")
         status = self.status()
@@ -191,7 +191,7 @@ class Recorder:
         return self._full_part == self._requested_splits and not self._is_stopping
 
     def split(self, snapshot: SessionSnapshot, *, log_time: int) -> None:
-        """Continue in a new file that opens with this snapshot; never blocks."""
+        """Queue the change to a new file that opens with this snapshot, without blocking; ignored after the end."""
         with self._put_lock:
             if not self._is_stopping and self._status.state != "failed":
                 self._requested_splits += 1
@@ -220,7 +220,7 @@ class Recorder:
         return status
 
     def close(self, *, timeout: float = 10.0, reason: str = "stopped") -> RecorderStatus:
-        """Write the queued messages, finish the file, and return the status. Can be called again after an interruption.
+        """Write the queued messages, finish the file, and return the status; waits at most `timeout` [s]. Repeatable.
 
         If the disk is stuck for longer than `timeout` [s], the file stays intact but unfinished.
         """
@@ -288,7 +288,7 @@ class Recorder:
                 self._full_part = self._part
 
     def _next_item(self, writer: SessionWriter) -> _QueuedMessage | _Split | _Stop | None:
-        """Return the oldest queued item; None after a wait without one."""
+        """Remove and return the oldest queued item; None after a wait of at most 10 ms without one."""
         try:
             item = self._queue.popleft()
         except IndexError:

@@ -15,7 +15,7 @@ RecorderState = Literal["opening", "recording", "closed", "failed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderStatus:
-    """Status of a recording at one time."""
+    """Status of a recording at one time: state, file, sizes, counts of messages, queue and error."""
 
     state: RecorderState
     path: Path | None
@@ -35,7 +35,7 @@ class RecorderStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderOptions:
-    """Options of a recorder; those of the file format are in `writer`."""
+    """Options of a recorder: limits of its queue [bytes] and of a file [bytes, s]; file format in `writer`."""
 
     writer: WriterOptions = field(default_factory=WriterOptions)
     queue_bytes: int = 256 << 20

@@ -37,7 +37,7 @@ class Recovery:
 def recover(
     source: Path | str, target: Path | str | None = None, *, on_progress: Callable[[int, int], None] | None = None
 ) -> Recovery:
-    """Copy every intact chunk of an unfinished or damaged session into a new, finished file.
+    """Copy an unfinished or damaged session's intact chunks into a new, finished file. Raises SessionError.
 
     Chunks are copied unchanged: every message keeps its bytes, times and order. The indexes are rebuilt. The new file
     (by default ``<name>_recovered.mcap`` beside the old one) appears when it is complete. No file is overwritten, and
@@ -126,7 +126,7 @@ def _copy_chunks(
 
 
 def _reindex(part: SessionPart, chunk: Chunk) -> PackedChunk:
-    """Return the chunk with new indexes, without messages whose channel declaration is lost."""
+    """Return a chunk with new indexes, without undeclared channels' messages; registers declarations in `part`."""
     from cloth_sim_ros.session.mcap_builder import compressor, pack_chunk_record
     from cloth_sim_ros.session.mcap_scan import RawMessage, chunk_records
 

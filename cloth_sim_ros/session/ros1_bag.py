@@ -22,7 +22,7 @@ ENDING = ".bag"
 
 
 def ros1_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
-    """Yield topic, type of ROS 2, log time [ns] and CDR bytes of each message, in the order of time.
+    """Yield (topic, ROS 2 type, log time [ns], CDR bytes) of a ROS 1 bag's messages, by time. Raises SessionError.
 
     Messages of other types, and of types whose definition differs between ROS 1 and ROS 2, are left out.
 

@@ -42,7 +42,7 @@ class AppendFile:
         _lock(self._descriptor)
 
     def append(self, parts: Sequence[bytes]) -> None:
-        """Append all bytes. On an error the file keeps none of them, and the error is raised."""
+        """Append the bytes of all parts. On an OSError the file keeps none of them."""
         try:
             for part in parts:
                 view = memoryview(part)
@@ -54,7 +54,7 @@ class AppendFile:
         self.size += sum(map(len, parts))
 
     def publish(self) -> Path:
-        """Give the file the first free name of ``stem``, ``stem-2``, ``stem-3`` ...; no file is overwritten."""
+        """Give the file the first free name of ``stem``, ``stem-2``, ``stem-3`` ..., and return its path."""
         if self._hidden is not None:
             self.path = _link_free_name(self._hidden, self._stem, self._suffix)
             self._hidden.unlink(missing_ok=True)
@@ -111,7 +111,7 @@ class AppendFile:
 
 
 def is_being_written(descriptor: int) -> bool:
-    """Return True if a living process is recording into the file; False on file systems without locks."""
+    """Return True if a living writer holds the lock of an open file; False on file systems without locks."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -123,7 +123,7 @@ def is_being_written(descriptor: int) -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder of a recording. Raises RecordingError with the reason and the remedy."""
+    """Create a recording's folder if it is absent, and check that it is writable. Raises RecordingError if not."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
@@ -135,7 +135,7 @@ def make_folder(folder: Path) -> None:
 
 
 def remove_leftovers(folder: Path, suffix: str) -> None:
-    """Remove unpublished hidden files of killed processes, except those in use."""
+    """Delete a folder's hidden, unpublished files of killed processes: older than an hour and not locked."""
     for path in folder.glob(f".*{suffix}.????????{_UNFINISHED_SUFFIX}"):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

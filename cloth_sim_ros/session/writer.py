@@ -30,7 +30,7 @@ SUFFIX = ".mcap"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionSnapshot:
-    """Opening of a file: enough to run the following frames again."""
+    """Opening of a session file: parameters, state, metadata and files; enough to run the following frames again."""
 
     scene_yaml: str
     """ROS parameter file with all effective parameters."""
@@ -44,7 +44,7 @@ class SessionSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriterOptions:
-    """Options of a session file: compression, chunk size, synchronisation and minimum free space."""
+    """Options of a session file: compression, chunks, synchronisation, minimum free space. Invalid: RecordingError."""
 
     compression: Compression = "lz4"
     chunk_bytes: int = 1 << 20
@@ -66,7 +66,7 @@ class WriterOptions:
 
 
 class SessionWriter:
-    """One session file, used from one thread. Every method may raise OSError as the system reports it.
+    """Writer of one session file, which it creates, for one thread. Methods may raise OSError or RecordingError.
 
     After an error in `add` or `maintain` the file still ends on a whole record. `finish` then completes the file
     without the chunk that could not be written.
@@ -135,7 +135,7 @@ class SessionWriter:
         return 0.0 if times is None else (times[1] - times[0]) * 1e-9
 
     def declare(self, topic: str, type_name: str, qos: Qos | None = None) -> None:
-        """Declare the channel of a topic, once. Raises SessionError for a message type that is not standard."""
+        """Declare a topic's channel, once and before `add`. Raises SessionError for a type that is not standard."""
         description = describe(type_name)
         self._channels[topic] = self._builder.add_channel(
             topic=topic,
@@ -149,7 +149,7 @@ class SessionWriter:
         return topic in self._channels
 
     def add(self, topic: str, data: bytes, *, log_time: int, publish_time: int, sequence: int) -> None:
-        """Append a message (CDR bytes) to its topic's channel; times in nanoseconds since the epoch."""
+        """Append a message (CDR bytes) to a declared topic, and write a full chunk. Times in ns since the epoch."""
         if self._chunk_since is None:
             self._chunk_since = self._clock()
         self._builder.add_message(
@@ -168,7 +168,7 @@ class SessionWriter:
         return min(due) - self._clock() if due else None
 
     def maintain(self) -> None:
-        """Close a chunk that is old enough, and synchronise the file if that is due."""
+        """Close a chunk that is old enough, and synchronise the file if that is due; call it regularly."""
         now = self._clock()
         if self._chunk_since is not None and now - self._chunk_since >= self._options.chunk_seconds:
             self._write_chunk()
@@ -178,7 +178,7 @@ class SessionWriter:
             self._unsynced_since = None
 
     def finish(self, *, reason: str, notes: Mapping[str, str] | None = None) -> None:
-        """Write the last chunk, the end record with the reason, and the indexes; then close the file.
+        """Write last chunk, end record with the reason, and indexes; close the file. A second call does nothing.
 
         After an OSError the file is closed, intact but unfinished.
         """
@@ -238,7 +238,7 @@ class SessionWriter:
 
 
 def encode_opening(builder: McapBuilder, snapshot: SessionSnapshot, *, session: str, part: int, log_time: int) -> bytes:
-    """Encode the opening of a file: its header, metadata and attachments.
+    """Return the bytes of a file's opening (header, metadata, attachments), and register them in `builder`.
 
     Args:
         builder: encoder of the file.
@@ -266,7 +266,7 @@ def encode_opening(builder: McapBuilder, snapshot: SessionSnapshot, *, session: 
 
 
 def metadata_checksum(metadata: Mapping[str, str]) -> str:
-    """Return the CRC-32 of the sorted entries: MCAP has checksums of attachments and chunks, not of metadata."""
+    """Return the CRC-32, 8 hexadecimal digits, of the entries but `checksum`; MCAP has none for metadata."""
     entries = sorted((key, value) for key, value in metadata.items() if key != "checksum")
     text = "\x00".join(f"{key}\x01{value}" for key, value in entries)
     return f"{zlib.crc32(text.encode()):08x}"

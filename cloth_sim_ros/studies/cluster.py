@@ -39,13 +39,13 @@ class SchedulerAddress:
 
 
 def core_count() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextlib.contextmanager
 def local_scheduler(workers: int | None, on_message: Callable[[str], None]) -> Iterator[SchedulerAddress]:
-    """Start a scheduler and worker processes, by default one per core, on this machine; yield its address.
+    """Context of a Dask scheduler and worker processes, by default one per core, on this machine; yields its address.
 
     Connections are encrypted and need a certificate that exists in these processes alone. Without it, every account of
     the machine could run code through the scheduler's port.
@@ -94,7 +94,7 @@ def local_scheduler(workers: int | None, on_message: Callable[[str], None]) -> I
 
 
 def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
-    """Connect to a Dask scheduler, which may still be starting; return the client.
+    """Connect to a Dask scheduler, retrying for `wait` [s]; return the client. Raises StudyError or StoppedError.
 
     Args:
         scheduler: its address.
@@ -128,7 +128,7 @@ def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
 
 
 def check_workers(client: Client, folder: Path, version: str) -> None:
-    """Refuse a cluster in which a worker can't use the study's folder or runs other code.
+    """Raise StudyError if a worker of the cluster can't use the study's folder or runs other code.
 
     Args:
         client: connection to the cluster.
@@ -148,7 +148,7 @@ def check_workers(client: Client, folder: Path, version: str) -> None:
 
 
 def probe_folder(folder: str) -> tuple[str, str]:
-    """Return a worker's problem with the study's folder (empty if none), and the version of its code."""
+    """Return a worker's problem with the study's folder ("" if none) and its code's version; writes a probe file."""
     import secrets
     import socket
 

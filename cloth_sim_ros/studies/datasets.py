@@ -24,7 +24,11 @@ TrajectorySource = Callable[[], Iterator[Trajectory]]
 
 
 def to_zarr(folder: Path, out: Path) -> int:
-    """Export the successful runs of a study as a zarr v3 group; return exit status 0."""
+    """Simulate a study's successful runs again into a new zarr v3 group. Raises StudyError or StoppedError.
+
+    Returns:
+        The exit status 0.
+    """
     from cloth_sim_ros.studies import zarr_export
 
     def write(study_folder: StudyFolder, target: Path, runs: TrajectorySource, count: int) -> None:
@@ -34,7 +38,11 @@ def to_zarr(folder: Path, out: Path) -> int:
 
 
 def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
-    """Export the successful runs of a study as a LeRobotDataset v3.0; return exit status 0."""
+    """Simulate a study's successful runs again into a new LeRobotDataset v3.0. Raises StudyError or StoppedError.
+
+    Returns:
+        The exit status 0.
+    """
     from cloth_sim_ros.studies import lerobot_export
 
     def write(_study_folder: StudyFolder, target: Path, runs: TrajectorySource, _count: int) -> None:
@@ -44,7 +52,11 @@ def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
 
 
 def to_mcap(folder: Path, out: Path) -> int:
-    """Export the successful runs of a study as sessions with clouds; return exit status 0."""
+    """Simulate a study's successful runs again into sessions with clouds. Raises StudyError or StoppedError.
+
+    Returns:
+        The exit status 0.
+    """
     study_folder = StudyFolder(folder)
 
     def write(_study_folder: StudyFolder, target: Path, _runs: TrajectorySource, count: int) -> None:
@@ -56,7 +68,7 @@ def to_mcap(folder: Path, out: Path) -> int:
 
 
 def successful_sessions(study_folder: StudyFolder) -> list[tuple[int, Path]]:
-    """Return the index and the session file of each successful run.
+    """Return (index, session file) of each successful run. Raises StudyError without one.
 
     Raises:
         StudyError: if no run was successful.

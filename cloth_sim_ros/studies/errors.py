@@ -27,7 +27,7 @@ class FolderError(StoppedError):
 
 
 def folder_error(folder: Path, error: OSError) -> FolderError:
-    """Return the `FolderError` of a failed write, with cause and remedy."""
+    """Return, to be raised, the `FolderError` of a failed write, with cause and remedy."""
     if error.errno in _DISK_FULL:
         return FolderError(
             f"no space left in {folder}: {error.strerror}. Finished runs are kept, incomplete files are removed. "

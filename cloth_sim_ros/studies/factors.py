@@ -19,7 +19,7 @@ MAX_CHOICES = 1_000_000
 
 @attrs.frozen(kw_only=True)
 class Factor:
-    """A varied quantity and the distribution of its values."""
+    """Varied quantity of a study, and the distribution of its values."""
 
     #: Full name of a parameter, `name[i]` for an array's entry, `target.<gripper>.x` and the like, or `policy.<name>`.
     name: str
@@ -42,7 +42,7 @@ class Factor:
         return KINDS[self.kind][1](self.values, min(max(quantile, 0.0), 1.0))
 
     def at(self, index: int) -> Any:
-        """Return the possible value at an index from 0 to `count` - 1."""
+        """Return the possible value at an index from 0 to `count` - 1, of a factor whose `count` is not None."""
         if self.kind == "choices":
             return self.values[index]
         if self.kind == "integers":
@@ -104,7 +104,7 @@ KINDS: dict[str, tuple[str, Callable[[tuple[Any, ...], float], Any]]] = {
 
 
 def read(name: str, content: Any) -> Factor:
-    """Return the factor of one entry of a study's `vary`: a list, or a distribution like ``{uniform: [0.1, 0.3]}``.
+    """Return the factor of an entry of `vary`: a list, or e.g. ``{uniform: [0.1, 0.3]}``. Raises StudyError.
 
     Raises:
         StudyError: if the entry is invalid; the text names entry and problem.

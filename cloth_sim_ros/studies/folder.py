@@ -84,7 +84,7 @@ class StudyFolder:
         return self.path / "rows" / f"{run // _FILES_PER_FOLDER:03d}" / f"{run:07d}.json"
 
     def create(self, study: Study, samples: Sequence[Sequence[Any]], text: str) -> None:
-        """Write the files of a new study into the folder; a folder with the same study stays unchanged.
+        """Write a new study's files; a folder with the same study stays unchanged. Raises StudyError or FolderError.
 
         Args:
             study: the study.
@@ -113,7 +113,7 @@ class StudyFolder:
             raise folder_error(self.path, error) from error
 
     def check_same(self, study: Study) -> None:
-        """Refuse a folder that holds another study.
+        """Raise StudyError, with the differing entries, if the folder holds another study.
 
         Raises:
             StudyError: if the studies differ; the text names the differences.
@@ -130,7 +130,7 @@ class StudyFolder:
         return study.to_json({name: _content_name(data) for name, data in study.files.items()})
 
     def read(self) -> Study:
-        """Return the study that the folder holds.
+        """Return the study that the folder holds. Raises StudyError without a readable one.
 
         Raises:
             StudyError: if the folder holds no readable study.
@@ -155,7 +155,7 @@ class StudyFolder:
         return input_file.read_bytes(self.path / "files" / stored_name, max_bytes=scene_files.MAX_BYTES)
 
     def samples(self, study: Study) -> list[tuple[Any, ...]]:
-        """Return the values of the factors for each run, as they were drawn at the study's start.
+        """Return each run's tuple of factor values, as drawn at the study's start. Raises StudyError.
 
         Raises:
             StudyError: if the file is unreadable, or its shape does not match the study.
@@ -174,7 +174,7 @@ class StudyFolder:
                 yield row
 
     def _read_json(self, path: Path, kind: type) -> Any:
-        """Return the JSON content of one of the study's own files.
+        """Return the JSON content of one of the study's files. Raises StudyError unless it is of type `kind`.
 
         Raises:
             StudyError: if the file is unreadable or has another type of content.
@@ -194,7 +194,7 @@ class StudyFolder:
         return run_folder
 
     def write(self, path: Path, data: bytes) -> None:
-        """Write a file atomically: a reader finds the new content or the previous one."""
+        """Write a file atomically, on the disk: a reader finds the new content or the previous one. Raises OSError."""
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.parent / f"{_PARTIAL_PREFIX}{path.name}-{secrets.token_hex(6)}"
         try:
@@ -213,7 +213,7 @@ class StudyFolder:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Lock the folder, so that only one process runs the study at a time.
+        """Context that locks the folder for one process at a time. Raises StudyError if another one has the lock.
 
         Raises:
             StudyError: if another client has the lock.
@@ -232,7 +232,7 @@ class StudyFolder:
             os.close(descriptor)
 
     def remove_leftovers(self) -> None:
-        """Remove incomplete files of killed workers.
+        """Delete incomplete files and run folders, which killed workers have left.
 
         A worker of a lost client that still runs fails because of it, without a message.
         """

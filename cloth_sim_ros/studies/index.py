@@ -52,7 +52,7 @@ def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
 
 
 def write(study_folder: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
-    """Write the rows of finished runs as the study's index (Parquet), atomically; replaces the previous one.
+    """Write the rows of finished runs as the study's index (Parquet), atomically. Raises FolderError.
 
     Raises:
         FolderError: if the folder can't be written.
@@ -68,7 +68,7 @@ def write(study_folder: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
 
 
 def read(study_folder: StudyFolder) -> pa.Table:
-    """Return a study's index; a missing one, for instance after a crash, is rebuilt from the rows of the runs.
+    """Return a study's index as an Arrow table; without a file, it is built from the rows. Raises StudyError.
 
     Raises:
         StudyError: if the folder holds no study, or the index is unreadable.
@@ -102,7 +102,7 @@ def _column(values: list[Any]) -> pa.Array:
 
 
 def _check_size(folder: StudyFolder) -> None:
-    """Refuse an index that would take too much memory.
+    """Raise ValueError for an index that would take too much memory.
 
     Raises:
         ValueError: if the index is too large; the text names the limits.
@@ -117,7 +117,7 @@ def _check_size(folder: StudyFolder) -> None:
 
 
 def _check_columns(table: pa.Table) -> pa.Table:
-    """Return the index unchanged; refuse it if a column is missing or has another type.
+    """Return the index unchanged. Raises ValueError if a column is missing or has another type.
 
     Raises:
         ValueError: if a column is missing or has another type.

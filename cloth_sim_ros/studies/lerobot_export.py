@@ -37,7 +37,7 @@ _DEFAULTS = {"timestamp": "float32", **dict.fromkeys(_INDICES, "int64")}
 
 
 def write(path: Path, runs: Iterator[Trajectory], *, task: str, video: bool) -> None:
-    """Write the trajectories of runs as the episodes of a LeRobot dataset.
+    """Write runs as the episodes of a LeRobot dataset, a new folder. Raises StudyError if they differ in layout.
 
     Args:
         path: folder to create.
@@ -100,7 +100,7 @@ def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
 
 
 class _Dataset:
-    """LeRobot dataset to which runs are appended as episodes."""
+    """Writer of a LeRobot dataset: `add` appends episodes, then `close` and `finish` complete the files."""
 
     def __init__(self, path: Path, run: Trajectory, *, task: str, video: bool) -> None:
         if not float(run.rate).is_integer():
@@ -116,7 +116,7 @@ class _Dataset:
         self._frames = 0
 
     def add(self, run: Trajectory) -> None:
-        """Append a run as the next episode."""
+        """Append a run as the next episode. Raises StudyError if its rate or features differ from the first one's."""
         if run.rate != self._fps:
             remedy = "a dataset has one for all episodes: remove rate from vary, or export with --mcap"
             raise StudyError(f"rate of run {run.run} is {run.rate} Hz, of the first one {self._fps}; {remedy}")

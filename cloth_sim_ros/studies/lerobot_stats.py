@@ -16,7 +16,7 @@ Statistics = dict[str, NDArray[np.float64]]
 
 
 def statistics(values: NDArray[np.generic]) -> Statistics:
-    """Return minimum, maximum, mean, standard deviation, count and quantiles of a feature over an episode.
+    """Return min, max, mean, std, count and quantiles by name, arrays (width,), of a feature over an episode.
 
     Args:
         values: shape (T, width) or (T,).

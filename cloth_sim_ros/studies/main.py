@@ -22,7 +22,7 @@ _COMMANDS = ("check", "view", "export")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_batch` with its subcommands run, check, view and export; return its exit status."""
+    """Run `cloth_batch` (run, check, view, export); return 0, 1 after a failed run, 2 for bad input, or 130."""
     escape_unencodable()
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = words[0] if words and words[0] in _COMMANDS else "run"

@@ -93,7 +93,7 @@ class OutcomeRecorder:
         }
 
     def user_outcomes(self, functions: Mapping[str, Callable[..., Any]], values: dict[str, Any]) -> dict[str, Any]:
-        """Call the user's outcome functions; return their numbers by name.
+        """Call the user's outcome functions; return their numbers by name. Raises OutcomeError.
 
         Args:
             functions: functions by reference; each returns a number, or several numbers by name.

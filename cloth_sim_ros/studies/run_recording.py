@@ -51,7 +51,7 @@ class _PendingFrame(NamedTuple):
 
 
 class RunRecording:
-    """Session file with the frames of a study's run; methods may raise OSError.
+    """Writer of the session file of a study's run, which it creates; methods may raise OSError.
 
     Args:
         folder: folder of this run alone; the caller moves the complete file.
@@ -140,7 +140,7 @@ class RunRecording:
             self._write_pending()
 
     def finish(self, *, reason: str) -> Path:
-        """Write the pending frames, close the file, synchronise it to the disk and return its path."""
+        """Write the pending frames, close the file, synchronise it to the disk, and return its path. Raises OSError."""
         self._write_pending()
         self._writer.finish(reason=reason)
         with self._writer.path.open("rb") as file:

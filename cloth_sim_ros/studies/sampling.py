@@ -25,7 +25,7 @@ SAMPLINGS = ("sobol", "latin_hypercube", "random", "grid")
 
 
 def grid_size(factors: Sequence[Factor]) -> int:
-    """Return the number of combinations of all values of the factors.
+    """Return the number of combinations of all values of the factors. Raises StudyError for a continuous one.
 
     Raises:
         StudyError: if a factor is continuous.
@@ -38,7 +38,7 @@ def grid_size(factors: Sequence[Factor]) -> int:
 
 
 def sample(factors: Sequence[Factor], *, runs: int, seed: int, sampling: str) -> list[tuple[Any, ...]]:
-    """Return the values of the factors for each run, by a grid or by (quasi-)random samples.
+    """Return the tuple of factor values of each run, by a grid or by (quasi-)random samples.
 
     Args:
         factors: the factors.

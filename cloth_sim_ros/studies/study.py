@@ -36,7 +36,7 @@ _AXES = ("x", "y", "z")
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """Common settings of all runs, and the factors that vary."""
+    """Checked study: common settings of all runs, and the factors that vary."""
 
     #: Parameters of the scene by full name.
     parameters: dict[str, Any]
@@ -67,7 +67,7 @@ class Study:
 
     @classmethod
     def from_json(cls, text: str, files: Mapping[str, bytes]) -> Study:
-        """Return a study from the text of `to_json` and the content of its files."""
+        """Return a study from the text of `to_json` and the contents of its files. Raises StudyError."""
         content = plain_json.loads(text, max_length=input_file.MAX_TEXT)
         if content.pop("version", None) != VERSION:
             raise StudyError(f"the study's version is not {VERSION}; use the package version that wrote it")
@@ -81,7 +81,7 @@ class Study:
         return cls(**content)
 
     def scene(self, values: Mapping[str, Any]) -> Scene:
-        """Return the scene of a run, with the values of its factors.
+        """Return the scene of a run, with factor values by name. Raises ParameterError if one is invalid.
 
         Args:
             values: values of the factors by name.
@@ -124,7 +124,7 @@ class Study:
 
 
 def parse_target(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int | None, int]:
-    """Return the indices of script, waypoint (None: all) and axis of ``target.<gripper>[.<number>].<axis>``.
+    """Return indices of script, waypoint (None: all) and axis of ``target.<gripper>[.<number>].<axis>``.
 
     Raises:
         StudyError: if the name matches no target.

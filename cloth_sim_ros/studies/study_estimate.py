@@ -28,7 +28,7 @@ _MAX_TRIALS = 8
 
 @attrs.frozen(kw_only=True)
 class StudyEstimate:
-    """Estimated cost of a run: wall time [s], bytes and frames."""
+    """Estimated cost of a run: wall time [s] on one core, size [bytes] and number of frames."""
 
     #: Wall time of one run on one core [s].
     seconds_per_run: float
@@ -56,7 +56,7 @@ def format_quantity(value: float, unit: str) -> str:
 
 
 def sample_and_estimate(study: Study, cores: int) -> tuple[list[tuple[Any, ...]], StudyEstimate]:
-    """Check a study; return the factor values of each run and the estimated cost of a run.
+    """Check a study by drawing and trying runs; return the factor values and a run's cost. Raises StudyError.
 
     Args:
         study: the study.
@@ -76,7 +76,7 @@ def sample_and_estimate(study: Study, cores: int) -> tuple[list[tuple[Any, ...]]
 
 
 def check_disk_space(folder: Path, study: Study, estimate: StudyEstimate) -> None:
-    """Refuse a study whose sessions would exceed the free disk space.
+    """Raise StudyError if a study's sessions would exceed the free disk space.
 
     Raises:
         StudyError: if the space is too small; the text names the required and the free space.
@@ -93,7 +93,7 @@ def check_disk_space(folder: Path, study: Study, estimate: StudyEstimate) -> Non
 
 
 def estimate_study(study: Study, samples: Sequence[Sequence[Any]]) -> StudyEstimate:
-    """Return the estimated cost of a run, measured on the first frames of the first run that starts.
+    """Simulate the beginning of a run for about 2 s; return the estimated cost of a run. Raises StudyError.
 
     Raises:
         StudyError: if none of the first runs starts.
@@ -143,7 +143,7 @@ def _draw_samples(study: Study) -> list[tuple[Any, ...]]:
 
 
 def _check_extremes(study: Study, samples: Sequence[Sequence[Any]]) -> None:
-    """Refuse a study if the smallest or largest drawn value of a normal distribution is invalid in the scene.
+    """Raise StudyError if the smallest or largest drawn value of a normal distribution is invalid in the scene.
 
     Raises:
         StudyError: if a value is invalid; the text names value and run.

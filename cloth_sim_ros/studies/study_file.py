@@ -43,7 +43,7 @@ _MAX_DURATION = 1e6
 
 
 def read(path: str | Path) -> Study:
-    """Return the study of a YAML file after checking it.
+    """Return the checked study of a YAML file; imports the user's functions. Raises StudyError.
 
     Raises:
         StudyError: if the file is invalid; the text names file, entry and problem.
@@ -62,7 +62,7 @@ def read(path: str | Path) -> Study:
 
 
 def from_dict(content: Any, *, folder: Path) -> Study:
-    """Return a study from the content of its YAML file.
+    """Return the checked study of a YAML file's content; imports the user's functions. Raises ValueError.
 
     Args:
         content: the content.
@@ -212,7 +212,7 @@ def _runs(value: Any, factors: Sequence[Factor], sampling: str) -> int:
 
 
 def _check_factors(study: Study) -> None:
-    """Refuse a study with unknown names of factors or invalid values; each factor is checked alone.
+    """Raise StudyError for unknown names of factors or invalid values; each factor is checked alone.
 
     Raises:
         StudyError: if a factor is invalid.

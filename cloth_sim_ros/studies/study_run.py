@@ -42,7 +42,7 @@ class RunError(RuntimeError):
 
 
 def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> list[int]:
-    """Execute several runs in sequence, as one Dask task; sessions and rows of results go to the study's folder.
+    """Execute runs in sequence, as one Dask task, into the study's folder; return their indices. Raises FolderError.
 
     Args:
         folder: folder of the study.
@@ -73,7 +73,7 @@ def _read_study(folder: str, _modified_ns: int) -> Study:
 
 
 def perform(study_folder: StudyFolder, study: Study, run: int, values: Sequence[Any]) -> dict[str, Any]:
-    """Execute one run, write its session and its row of results, and return the row.
+    """Execute a run unless it has succeeded already; write its session and row, return the row. Raises FolderError.
 
     A successful run is not repeated.
 
@@ -215,7 +215,7 @@ class CommandedSimulation:
 
     @classmethod
     def create(cls, study: Study, run: int, factor_levels: dict[str, Any]) -> CommandedSimulation:
-        """Return the simulation of a run at its start, with its scripts or its policy.
+        """Return a run's simulation at its start, with its scripts or its policy. Raises RunError.
 
         Args:
             study: the study.
@@ -248,7 +248,7 @@ class CommandedSimulation:
         return commanded
 
     def advance(self) -> tuple[Sequence[Event], Frame, EnsembleFrame | None]:
-        """Advance by one commanded frame; return its events, the frame, and the ensemble's frame or None.
+        """Advance by one commanded frame; return its events, the frame, the ensemble's or None. Raises RunError.
 
         Raises:
             RunError: if the policy raises or returns invalid events, the motion does not stay finite, or a member of

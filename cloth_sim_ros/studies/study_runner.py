@@ -64,7 +64,7 @@ class StudyRunner:
     _kills: collections.Counter[int] = attrs.field(factory=collections.Counter, init=False)
 
     def run(self, address: cluster.SchedulerAddress | str, runs: Iterable[int], *, wait: float) -> None:
-        """Execute runs on a Dask cluster, and reconnect if the scheduler is lost.
+        """Execute runs on a Dask cluster until each has a row; reconnect if the scheduler is lost.
 
         Args:
             address: address of the scheduler; a text such as ``tcp://host:8786`` if it needs no certificate.
@@ -143,7 +143,7 @@ class StudyRunner:
         return [list(runs[k : k + size]) for k in range(0, len(runs), size)]
 
     def _collect(self, future: Any, batch: list[int]) -> list[list[int]]:
-        """Report the runs of an ended task; return the unfinished ones, in batches to be submitted again."""
+        """Report an ended task's finished runs, record failed ones; return batches to be submitted again."""
         from distributed import KilledWorker
 
         if future.status == "cancelled":

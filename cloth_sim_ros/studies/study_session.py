@@ -36,7 +36,7 @@ def run_study(
     workers: int | None = None,
     wait: float = 300.0,
 ) -> int:
-    """Execute the unfinished runs of a study, with checks, index and summary; return the exit status.
+    """Execute the unfinished runs of a study, write its index, print a summary; return 0 if all succeeded, else 1.
 
     Args:
         path: file of the study.

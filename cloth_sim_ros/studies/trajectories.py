@@ -51,7 +51,7 @@ class Trajectory:
 
 
 def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajectory:
-    """Return the trajectory of a run by simulating its session again, with digest checks.
+    """Return the trajectory of a run by simulating its session again. Raises StoppedError if a digest differs.
 
     Args:
         run: index of the run.

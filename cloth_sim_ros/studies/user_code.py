@@ -38,7 +38,7 @@ class FunctionSource:
 
 @attrs.frozen(kw_only=True)
 class Observation:
-    """Observation that a user's policy receives at the beginning of a frame."""
+    """Observation of a frame's beginning for a user's policy: time, particles, wrenches, values, generator."""
 
     #: Simulated time [s].
     time: float
@@ -74,7 +74,7 @@ class Finished:
 
 
 def read_source(reference: Any, role: str, folder: Path) -> FunctionSource:
-    """Return the source of a user's function that a study names.
+    """Return the source of a user's function from a reference such as ``file.py:name``. Raises StudyError.
 
     Args:
         reference: ``file.py:name`` or ``module:name``.
@@ -97,7 +97,7 @@ def read_source(reference: Any, role: str, folder: Path) -> FunctionSource:
 
 
 def load_function(source: FunctionSource, role: str) -> Callable[..., Any]:
-    """Import and return a user's function or class.
+    """Import a user's module, which runs its code, and return the function or class. Raises StudyError.
 
     Args:
         source: source of the function.
@@ -131,7 +131,7 @@ def format_error(error: BaseException) -> str:
 
 
 def as_events(answer: Any) -> Sequence[Any]:
-    """Return a policy's answer as a list of events: None gives none, a single event a list of one."""
+    """Return a policy's answer as a sequence of events: None gives none, a single event a list of one."""
     if answer is None:
         return []
     if isinstance(answer, list | tuple):

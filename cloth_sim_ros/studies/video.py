@@ -19,7 +19,7 @@ _CODEC, _PIXELS = "libx264", "yuv420p"
 
 
 def render(run: Trajectory, path: Path, *, fps: int) -> tuple[dict[str, Any], Statistics]:
-    """Write the video of a run, with a picture of each frame's beginning.
+    """Write the video (H.264) of a run; return its LeRobot feature and the pixels' statistics. Raises StudyError.
 
     Args:
         run: the run.

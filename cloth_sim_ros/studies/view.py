@@ -36,7 +36,7 @@ def view(
     run: int | None = None,
     save: Path | None = None,
 ) -> int:
-    """Show the results of a study as table, plot or in Rerun; return the exit status.
+    """Print the results of a study as a table, plot them, or open a run in Rerun; return the exit status.
 
     Args:
         folder: folder of the study.
@@ -65,7 +65,7 @@ def view(
 
 
 def column_of(table: pa.Table, name: str, role: str) -> str:
-    """Return the index's column for a name, in which an outcome's prefix may be missing.
+    """Return the index's column for a name, in which an outcome's prefix may be missing. Raises StudyError.
 
     Args:
         table: the index.
@@ -110,7 +110,7 @@ def format_table(table: pa.Table, *, order: str | None = None, rows: int = 20, f
 
 
 def draw_plot(table: pa.Table, name: str, along: str, file: Path) -> None:
-    """Plot an outcome over a factor, which may be numeric or categorical.
+    """Write a plot of an outcome (`name`) over a factor (`along`), numeric or categorical. Raises StudyError.
 
     Raises:
         StudyError: if no run has both values, or the outcome is no number.
@@ -139,7 +139,7 @@ def draw_plot(table: pa.Table, name: str, along: str, file: Path) -> None:
 
 
 def _open_run(study_folder: StudyFolder, run: int, save: Path | None) -> int:
-    """Open one run in Rerun, in a separate process, and return its exit status."""
+    """Open one run in Rerun, or save it, in a separate process; wait, and return its exit status."""
     row = read_row(study_folder.row_file(run)) if run >= 0 else None
     if row is None:
         raise StudyError(f"{study_folder.path} has no finished run {run}")

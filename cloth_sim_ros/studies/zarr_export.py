@@ -33,7 +33,7 @@ _MAX_CHUNK_BYTES = 64_000_000
 
 
 def write(path: Path, runs: Iterator[Trajectory], count: int, study_folder: StudyFolder) -> None:
-    """Write the trajectories of runs as a zarr group; shorter runs and fewer particles are padded with NaN.
+    """Write runs as a new zarr group, padded with NaN to equal sizes. Raises StudyError if they differ in layout.
 
     Args:
         path: folder to create.

@@ -51,7 +51,7 @@ def certify(
     particles: BinaryIO | None = None,
     every_sample: bool = False,
 ) -> tuple[Verdict, Certificate]:
-    """Run a session again and measure its true error against a reference solution; return verdict and certificate.
+    """Run a session again, measure its error against a reference; return (verdict, certificate). Raises SessionError.
 
     Args:
         paths: the files of one session, in order.
@@ -112,7 +112,7 @@ class _Certifier:
         self._is_altered = not is_same and self._is_reproduced
 
     def on_frame_end(self) -> None:
-        """Assess the frame of this run, stored by `on_frame`, against the reference after all its messages."""
+        """Assess the frame that `on_frame` stored, if any, against the reference, after all its messages."""
         frame, self._frame = self._frame, None
         self.certificate.altered += self._is_altered
         if frame is not None:
@@ -191,15 +191,15 @@ class _Certifier:
             self._end_window()
 
     def _recorded_positions(self) -> Array | None:
-        """Return the recorded positions, shape (3, n) [m]; None without a cloud."""
+        """Return the last frame's recorded positions, shape (3, n) [m]; None without a cloud."""
         return None if self._recorded is None else self._recorded.T.astype(np.float64)
 
     def _rounding(self) -> float:
-        """Return the unit roundoff of the recorded positions, of single or double precision."""
+        """Return the unit roundoff of the last frame's recorded positions, of single or double precision."""
         return 2.0**-53 if self._recorded is not None and self._recorded.dtype.itemsize == 8 else _FLOAT32
 
     def _advance_session(self, frame: SimulatedFrame) -> ReferenceResult | None:
-        """Advance the reference solution that began with the session; None beyond the horizon."""
+        """Advance the reference solution that began with the session; return None from the horizon on."""
         if self._session_reference is None:
             return None
         reference, certificate = self._session_reference.advance(self._equations, frame), self.certificate
@@ -245,5 +245,5 @@ def _max_error(recorded: Array | None, reference: Array) -> float:
 
 
 def is_sampled(window: int) -> bool:
-    """Return True for windows that the independent integrator checks: the first eight, then every second, fourth ..."""
+    """Return True if the independent integrator checks a window (index): the first eight, then ever fewer."""
     return window % max(1, 1 << max(0, window.bit_length() - 3)) == 0

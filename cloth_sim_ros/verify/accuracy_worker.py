@@ -38,7 +38,7 @@ _POLL_SECONDS = 0.25
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Assess the windows that standard input holds, print a line of JSON for each; return the exit status."""
+    """Print a line of JSON for each pickled window on standard input; return 0 when it ends, exit with the parent."""
     threading.Thread(target=_exit_with_parent, args=(int(arguments[0]),), daemon=True).start()
     os.nice(_NICENESS)
     scene: Scene | None = None
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def assess_window(scene: Scene, state: State, events: Sequence[Sequence[Event]], digest: str) -> dict[str, Any]:
-    """Run a window of a live simulation again and measure its error against a reference solution.
+    """Run a live simulation's window again; return its error against a reference as a JSON object, or `trouble`.
 
     Args:
         scene: effective at its beginning.

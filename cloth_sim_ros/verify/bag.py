@@ -96,12 +96,12 @@ class _Contents:
     """Number of unreadable messages by reason, of the first few reasons."""
 
     def key(self, session: str, sequence: int) -> _Key:
-        """Return the key of a record, from the identifier of the node's run and the record's number."""
+        """Return a record's key from its node's run, registered if it is new, and its number in that run."""
         return _Key(self.sessions.setdefault(session, len(self.sessions)), sequence)
 
 
 def verify_bag(path: Path, *, on_frame: Callable[[], object] = lambda: None) -> list[Verdict]:
-    """Run each node's cloth in a bag again and compare it with the bag; return a verdict for each node.
+    """Run each node's cloth in a bag again, compare it with the bag; return a verdict for each. Raises SessionError.
 
     Args:
         path: the bag's folder or its file.
@@ -133,7 +133,7 @@ def verify_bag(path: Path, *, on_frame: Callable[[], object] = lambda: None) -> 
 
 
 def _messages(files: list[Path], damage: list[str]) -> Iterator[Message]:
-    """Yield the messages of a bag, of each file up to its first damaged record, which is noted in `damage`."""
+    """Yield a bag's messages, of each file up to its first damaged record, which is described in `damage`."""
     for path in files:
         try:
             for topic, kind, log_time, data in bag_messages(path):
@@ -253,7 +253,7 @@ class _BagRun:
                 yield f"no snapshot before frame {frames[after]}, with which the node began anew; {end}"
 
     def add(self, message: Message) -> None:
-        """Process a message of the node: a frame record, a snapshot, or an output to be compared."""
+        """Take the node's next message: a frame record, snapshot or output; run frames whose messages are there."""
         topic = message.topic
         if topic == self._topic:
             self._add_record(message)
@@ -447,7 +447,7 @@ class _BagRun:
         return frame_outputs
 
     def _skip_outputs(self, stamp: int, frame_outputs: dict[str, Message]) -> None:
-        """Report the clouds and wrenches of a stamp [ns] that belong to no frame that was run."""
+        """Count the clouds and wrenches of a stamp [ns] that belong to no frame that was run as not compared."""
         is_inside = stamp < 0 or any(first <= stamp <= last for first, last in self._parts)
         for topic, message in frame_outputs.items():
             if self._compared.get((stamp, topic)) == hash(message.data):

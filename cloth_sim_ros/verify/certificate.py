@@ -110,7 +110,7 @@ class AccuracyWindow:
     """Number of unflagged frames whose error alone exceeds its bound."""
 
     def add(self, frame: FrameAccuracy) -> None:
-        """Include the next frame in the maxima of the window."""
+        """Include the next frame in the counts and maxima of the window."""
         is_first = not self.frames
         self.end, self.frames = frame.time, self.frames + 1
         self.flagged += frame.flagged
@@ -150,7 +150,7 @@ class AccuracyWindow:
 
 @attrs.frozen(kw_only=True)
 class Sample:
-    """Comparison of a frame with an independent integrator from the same state."""
+    """Errors of one frame by the certificate and by an independent integrator, from the same state [m]."""
 
     frame: int
     stated: float

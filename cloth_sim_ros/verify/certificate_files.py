@@ -18,7 +18,7 @@ from cloth_sim_ros.verify.verdict import Verdict
 
 
 def write_json(certificate: Certificate, path: Path, verdict: Verdict) -> None:
-    """Write a certificate and the verdict of the re-run as JSON; unknown numbers are null."""
+    """Write a certificate and the verdict of the re-run to a JSON file; unknown numbers are null. Raises OSError."""
     content = attrs.asdict(certificate)
     content["run"] = {
         "same": verdict.same,
@@ -47,7 +47,7 @@ def write_json(certificate: Certificate, path: Path, verdict: Verdict) -> None:
 
 
 def write_plot(certificate: Certificate, path: Path) -> None:
-    """Plot errors, error bound, amplification and the uncertainty of the certificate over time [s]."""
+    """Write a PNG of errors, error bound, amplification and uncertainty over time [s]. Raises OSError."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -15,7 +15,7 @@ _MAX_WINDOWS, _MAX_FRAMES = 60, 5
 
 
 def describe_accuracy(certificate: Certificate) -> str:
-    """Format a certificate as sentences and tables."""
+    """Return a certificate as text: sentences, a table of the worst windows and one of the worst frames."""
     if not certificate.frames:
         return "Accuracy: no time passes in the session; there is nothing to measure."
     windows = sorted(certificate.windows, key=_window_severity, reverse=True)[:_MAX_WINDOWS]

@@ -10,5 +10,5 @@ from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_verify`; return its exit status."""
+    """Run the command `cloth_verify` (its entry point); return its exit status, 130 after an interruption."""
     return run_command("cloth_verify", "cloth_sim_ros.verify.main", arguments)

@@ -81,7 +81,7 @@ class CommandCheck:
         return frozenset(self._kinds)
 
     def receive(self, message: Message, simulation: Simulation) -> None:
-        """Store a command that the node received after the last frame, until an event matches it."""
+        """Store a command on one of `topics`, received after the last frame, until an event matches it."""
         name, leaf = self._kinds[message.topic]
         if leaf == "twist":
             self._twisted.add(name)

@@ -59,7 +59,7 @@ class CompletenessCheck:
         """Missing messages of droppable topics: position of the first frame, topic, count."""
 
     def begin(self, part: SessionPart, open_time: int) -> None:
-        """Begin a file that was opened at a log time `open_time` [ns]."""
+        """Begin a file, opened at a log time `open_time` [ns]: its messages are counted from 0."""
         self._part, self._open_time = part, open_time
         self._counts = Counter()
         if part.index:
@@ -85,7 +85,7 @@ class CompletenessCheck:
         return last.publish_time == message.publish_time and last.sequence == message.sequence
 
     def add(self, message: Message, *, is_from_node: bool, is_opening: bool = False) -> None:
-        """Check the sequence number and the log time of the next message.
+        """Count the next message, check its sequence number and its log time, and report differences.
 
         Args:
             message: the message.
@@ -104,7 +104,7 @@ class CompletenessCheck:
         topic.last = message
 
     def add_missing(self, topic: str) -> None:
-        """Count a message that the last frame lacks on a topic."""
+        """Count one message that the last frame lacks on a declared topic."""
         entry = self._topics[topic]
         entry.n_missing += 1
         if entry.missing_from is None:
@@ -151,7 +151,7 @@ class CompletenessCheck:
             self._findings.add_difference(kind, reason, position=position, count=count)
 
     def is_absent(self, topic: str) -> bool:
-        """Return True if a topic has no message in the session, although frames demand some."""
+        """Return True if a declared topic has no message in the session, although frames demand some."""
         entry = self._topics[topic]
         return not entry.count and entry.n_missing > 0
 

@@ -34,7 +34,7 @@ _MAX_LENGTH_RATIO = 20
 
 
 def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], findings: Findings) -> None:
-    """Compare the message types, encodings and definitions that a file declares with those of the node.
+    """Compare a file's declared message types, encodings and definitions with the node's; report differences.
 
     Args:
         part: the file.

@@ -75,11 +75,11 @@ class DiagnosticsCheck:
         self._stopped |= set(frame.stopped)
 
     def next_file(self) -> None:
-        """Begin another file of the session, in which the energy sums restart."""
+        """Begin another file of the session, whose energy sums restart: they are not compared from there on."""
         self._from_start = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
-        """Compare a diagnostics message with the simulation after the last frame."""
+        """Compare a diagnostics message with the simulation after the last frame; report differences."""
         try:
             content = decode(message.data, TYPE)
         except SessionError as error:
@@ -206,7 +206,7 @@ class _StrainGauge:
 
 
 def _is_same_number(recorded: str, expected: str) -> bool:
-    """Return True if two printed numbers differ by rounding only."""
+    """Return True if two texts are numbers that differ by rounding only; False for two integers."""
     try:
         recorded_number, rerun_number = float(recorded), float(expected)
     except ValueError:

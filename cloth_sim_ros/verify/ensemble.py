@@ -61,7 +61,7 @@ class EnsembleCheck:
         self._is_known = False
 
     def begin(self, *, continues: bool) -> None:
-        """Begin a file; `continues`: True if its first frame follows the last one of the previous file."""
+        """Begin a file. Unless its first frame `continues` the previous file, close the members and clear the queue."""
         if not continues:
             self.close()
             self._steps.clear()
@@ -81,7 +81,7 @@ class EnsembleCheck:
             self._steps.append(_Step(stamp, frame.events, self._before))
 
     def compare(self, message: Message) -> None:
-        """Advance the members to the frame with a cloud's stamp; compare the cloud with their mean and deviation."""
+        """Advance the members to the frame with a cloud's stamp; report a difference from their mean and deviation."""
         self._count_gap(message)
         self._completeness.add(message, is_from_node=True)
         if not self._is_known:
@@ -116,7 +116,7 @@ class EnsembleCheck:
             self._ensemble = None
 
     def _advance(self, stamp: int) -> EnsembleFrame | None:
-        """Advance the members to the first waiting frame with a stamp [ns]; None if no such frame waits."""
+        """Advance the members to the waiting frame with a stamp [ns]; return their mean and deviation, or None."""
         last = next((k for k, step in enumerate(self._steps) if step.stamp == stamp), -1)
         frame: EnsembleFrame | None = None
         self._list_left_out(last)
@@ -145,7 +145,7 @@ class EnsembleCheck:
         self._encoder = CloudEncoder(frame_id=scene.frame_id, height=height, width=width, deviation=True)
 
     def _count_gap(self, message: Message) -> None:
-        """Count the clouds that the recorder dropped before this one, by the sequence numbers."""
+        """Count the clouds missing before this one, by the sequence numbers, in the completeness check."""
         last = self._completeness.last_message(self.topic)
         gap = message.sequence - last.sequence - 1 if last is not None else 0
         for _ in range(gap if 0 < gap < _MAX_GAP else 0):

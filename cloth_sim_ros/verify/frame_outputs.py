@@ -118,7 +118,7 @@ class FrameOutputCheck:
             self._expected.append(_TF)
 
     def compare(self, message: Message, *, is_opening: bool) -> bool | None:
-        """Compare a message of a frame, or of the file's opening, with the re-run.
+        """Compare a message of a frame, or of the opening, with the re-run; return True if a frame's cloud is equal.
 
         Args:
             message: a message of a compared topic.

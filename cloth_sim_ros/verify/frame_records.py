@@ -29,7 +29,7 @@ def compare_record(
     topic: str,
     labels: Mapping[str, Any],
 ) -> None:
-    """Compare number, time, steps, digest and extras of a recorded frame with the frame of the re-run.
+    """Compare number, time, steps, digest and extras of a recorded frame with the re-run's; report differences.
 
     Args:
         record: as recorded.

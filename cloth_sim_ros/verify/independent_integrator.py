@@ -24,7 +24,7 @@ RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-13, 1e-13
 
 
 def frame_by_dop853(equations: Equations, frame: SimulatedFrame, state: State) -> Array:
-    """Return positions (3, n) [m] at a frame's end, integrated by DOP853 from a state at its beginning."""
+    """Integrate a frame by DOP853 from a state at its beginning; return the end positions (3, n) [m]."""
     motion = ReferenceMotion(state)
     motion.apply_grasps(frame)
     return dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.state).x
@@ -39,7 +39,7 @@ def dop853(
     relative_tolerance: float = RELATIVE_TOLERANCE,
     absolute_tolerance: float = ABSOLUTE_TOLERANCE,
 ) -> MotionState:
-    """Integrate the motion by DOP853 from time t [s] over a duration [s]; return the state at the end.
+    """Integrate a motion by DOP853 from time t [s] over a duration [s]; return the end. Raises ArithmeticError.
 
     Friction anchors and plastic lengths are updated after each step. The jaws are integrated together with the
     particles. Prescribed particles are at their points in each evaluation.

@@ -41,7 +41,7 @@ _SEVERITY = (SAME, OTHER_ARITHMETIC, BOUND_VIOLATED, DIFFERENT, UNREADABLE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_verify`: verify sessions and bags, print verdicts; return the exit status."""
+    """Run `cloth_verify`: verify sessions and bags, print verdicts; return 0 if all are the same, 1 to 4, or 130."""
     escape_unencodable()
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
@@ -107,7 +107,10 @@ def _outputs(options: argparse.Namespace) -> dict[str, Path]:
 
 
 def _check_accuracy(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Refuse invalid options of the accuracy before any work: the measurement may take hours."""
+    """Exit by `parser.error` if options of the accuracy are invalid, before any work.
+
+    The measurement itself may take hours.
+    """
     outputs = _outputs(options)
     if outputs and not options.accuracy:
         parser.error(f"{next(iter(outputs))} needs --accuracy")
@@ -126,7 +129,7 @@ def _check_one_session(parser: argparse.ArgumentParser, options: argparse.Namesp
 
 
 def status_of(verdict: Verdict) -> int:
-    """Return the exit status for a verdict: same, different, other arithmetic, or unreadable."""
+    """Return the exit status for a verdict: SAME, DIFFERENT, OTHER_ARITHMETIC or UNREADABLE."""
     if verdict.damaged or not verdict.frames:
         return UNREADABLE
     if verdict.same:
@@ -135,7 +138,7 @@ def status_of(verdict: Verdict) -> int:
 
 
 def describe(verdict: Verdict) -> str:
-    """Format a verdict as sentences: the outcome first, then its qualifications."""
+    """Return a verdict as sentences for the terminal: the outcome first, then its qualifications."""
     prefix = f"{verdict.name}: "
     speed = f"{verdict.simulated:.1f} s run in {verdict.seconds:.1f} s"
     counts = f"{pluralize(verdict.frames, 'frame')} and {pluralize(verdict.clouds, 'cloud')}"
@@ -172,14 +175,14 @@ def describe(verdict: Verdict) -> str:
 
 
 def format_counts(counts: Mapping[str, int]) -> list[str]:
-    """Format counts of frames and messages by kind."""
+    """Return a phrase such as "3 clouds" for each kind with a count above 0, sorted by kind."""
     plurals = {"wrench": "wrenches", "topology": "topologies"}
     present = [(count, kind) for kind, count in sorted(counts.items()) if count]
     return [f"{n} {plurals[kind]}" if kind in plurals and n != 1 else pluralize(n, kind) for n, kind in present]
 
 
 def format_omissions(verdict: Verdict) -> list[str]:
-    """Format the messages that were not compared: count and reason by topic."""
+    """Return a phrase for each topic with messages that were not compared: counts and reasons."""
     reasons_by_topic: dict[str, dict[int, list[str]]] = {}
     for (topic, reason), count in sorted(verdict.not_compared.items()):
         reasons_by_topic.setdefault(topic, {}).setdefault(count, []).append(reason)
@@ -256,7 +259,7 @@ def _write_certificate(certificate: Certificate, verdict: Verdict, options: argp
 
 
 def _frames_in(paths: Sequence[Path]) -> int | None:
-    """Return the number of frames of a session by the indexes of its files; None if a file has none."""
+    """Return a session's number of frames by the indexes of its files; None if a file has none. Raises SessionError."""
     count = 0
     with SessionReader(list(paths)) as reader:
         for part in reader.parts:

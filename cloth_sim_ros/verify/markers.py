@@ -77,7 +77,7 @@ class MarkerCheck:
         return changed, moved
 
     def compare(self, message: Message, simulation: Simulation, stamp: int | None, *, changed: bool = False) -> None:
-        """Compare a marker message with the current obstacles and pads.
+        """Compare a marker message with the current obstacles and pads; report the first difference.
 
         Args:
             message: the markers.

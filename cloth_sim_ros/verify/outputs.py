@@ -44,9 +44,9 @@ def same_bytes(recorded: bytes, expected: bytes) -> bool:
 
 
 def same_content(recorded: bytes, expected: bytes, type_name: str) -> bool:
-    """Return True if two messages are equal up to padding, which middlewares leave uninitialised.
+    """Return True if two messages are equal up to padding. Raises SessionError if the first cannot be read.
 
-    Raises SessionError if the first one cannot be read.
+    Middlewares leave padding uninitialised.
     """
     if same_bytes(recorded, expected):
         return True
@@ -73,7 +73,7 @@ class CloudCheck:
         self._equivalent_headers: dict[bytes, bytes] = {}
 
     def compare(self, message: Message, simulation: Simulation, stamp: int) -> bool:
-        """Compare a cloud with the last frame at a ROS time [ns]; return True if the positions are equal."""
+        """Compare a cloud with the last frame, due at a ROS time [ns]; report; return True if positions are equal."""
         state, fields, differs_by_normals = simulation.state, simulation.scene.points, False
         for points in dict.fromkeys((fields, self._first_fields)):
             encoder = self._encoder(points)
@@ -213,7 +213,7 @@ def compare_topology(message: Message, scene: Scene, findings: Findings) -> None
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:
-    """Compare recorded transforms, of the centre of mass, grippers with a pose and cameras, with the re-run."""
+    """Compare transforms of centre of mass, placed grippers and cameras with the re-run; report a difference."""
     frames = _transforms(node.strip("/"), simulation)
     parent = simulation.scene.frame_id
     if same_bytes(message.data, messages.transforms_bytes(frames, frame_id=parent, stamp=stamp)):
@@ -240,7 +240,7 @@ def compare_transforms(message: Message, node: str, simulation: Simulation, stam
 
 
 def wrenches(scene: Scene, frame: Frame) -> list[tuple[str, Array]]:
-    """Return names and wrenches [N, N m] of a frame for each gripper, and each obstacle that is no link of a robot."""
+    """Return pairs of name and wrench [N, N m] of a frame, of grippers, then of obstacles that are no robot's links."""
     gripper_wrenches = list(zip(scene.gripper_names, frame.wrenches, strict=True))
     of_obstacles = zip(scene.obstacle_names, frame.obstacle_wrenches, strict=True)
     links = scene.link_names

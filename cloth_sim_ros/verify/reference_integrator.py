@@ -39,7 +39,7 @@ UNIT_ROUNDOFF = 2.0**-53
 
 
 class MotionState(NamedTuple):
-    """Positions, velocities and state memory of a motion at one time."""
+    """Positions x [m], velocities v [m/s], shape (3, n) each, and state memory of a motion at one time."""
 
     #: Positions [m] and velocities [m/s], shape (3, n) each.
     x: Array
@@ -55,7 +55,7 @@ def rounding_amplification(counts: tuple[int, ...]) -> float:
 
 
 class ReferenceIntegrator:
-    """Integration of frames by extrapolated leapfrog, with an estimated error below `rate` per second.
+    """Integrator of frames by extrapolated leapfrog, with an estimated error below `rate` [m/s] times the time.
 
     Args:
         rate: error per second of simulated time [m/s].
@@ -124,7 +124,7 @@ class ReferenceIntegrator:
 def integrate_intervals(
     plan: Plan, t: float, lengths: Sequence[float], start: MotionState, counts: tuple[int, ...] = STEP_COUNTS
 ) -> MotionState:
-    """Integrate intervals of given lengths [s], from another start or with other step counts."""
+    """Integrate intervals of given lengths [s] from time `t` [s] by fixed step counts; return the state at the end."""
     state = start
     for length in lengths:
         state, t = _extrapolate(plan, t, length, state, counts)[0], t + length

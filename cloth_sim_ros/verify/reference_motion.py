@@ -49,7 +49,7 @@ class SimulatedFrame:
 
 
 class FrameCapture:
-    """Capture of a simulation's frames, so that reference motions follow the same commands."""
+    """Converter of a simulation's frames to `SimulatedFrame`, so that reference motions follow the same commands."""
 
     def __init__(self) -> None:
         self._new: frozenset[int] = frozenset()
@@ -58,7 +58,7 @@ class FrameCapture:
     def capture(
         self, simulation: Simulation, scene_before: Scene, state_before: State, frame: Frame
     ) -> SimulatedFrame | None:
-        """Return the last frame of the simulation as a `SimulatedFrame`; None if no time passed."""
+        """Return the simulation's last frame with its controls; None if no time passed. Call it after every frame."""
         names = simulation.grippers.names
         if any(isinstance(event, Reset) for event in frame.events):
             self._reset, self._new = True, frozenset()
@@ -89,14 +89,14 @@ class FrameCapture:
 
 
 class Equations:
-    """Equations of motion for reference motions: a plan that is compiled when the scene changes."""
+    """Plan that reference motions share, compiled for each new scene, with the controls of one motion at a time."""
 
     def __init__(self) -> None:
         self._scene: Scene | None = None
         self._plan: Plan | None = None
 
     def plan(self, frame: SimulatedFrame, motion: ReferenceMotion) -> Plan:
-        """Return the plan of a frame's scene and commands, with the grip points of one reference motion."""
+        """Return the shared plan, set to a frame's commands and to one motion's grip points until the next call."""
         if self._plan is None or self._scene is not frame.scene:
             self._scene, self._plan = frame.scene, frame.scene.plan()
         grips, contact = frame.controls
@@ -111,7 +111,7 @@ _MOTION_KEYS = (ANCHORS_KEY, JAWS_KEY, PLASTIC_LENGTHS_KEY)
 
 
 class ReferenceMotion:
-    """Motion under the simulation's commands, from a given state.
+    """Motion from a given state under the simulation's commands; callers integrate its `state` frame by frame.
 
     The simulation decides the particles that a gripper grasps. The grip points follow from their positions in this
     motion.
@@ -140,7 +140,7 @@ class ReferenceMotion:
         return np.ascontiguousarray(np.concatenate([np.empty((0, 3)), *self._offsets]))
 
     def apply_grasps(self, frame: SimulatedFrame) -> None:
-        """Grasp and release the same particles as the simulation at a frame's beginning.
+        """Grasp and release the same particles as the simulation at a frame's beginning; call it before each frame.
 
         Contacts get the simulation's thickness.
         """

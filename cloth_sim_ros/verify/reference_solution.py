@@ -70,7 +70,7 @@ class ReferenceSolution:
         self._integrator = ReferenceIntegrator(0.0)
 
     def advance(self, equations: Equations, frame: SimulatedFrame) -> ReferenceResult:
-        """Advance by a frame; return reference positions, their uncertainty and the perturbations' growth factor."""
+        """Integrate the motions over the next frame; return reference positions, uncertainty and amplification."""
         solution, check, perturbed = self._solution, self._check, self._perturbed
         apply_grasps([solution, check, *perturbed], frame)
         plan = equations.plan(frame, solution)
@@ -106,7 +106,7 @@ class ReferenceSolution:
 
 
 def reference_error_rate(tolerance: float | None) -> float:
-    """Return the permitted error per second of the reference solution [m/s]."""
+    """Return the permitted error of the reference solution per second [m/s]: a hundredth of the tolerance, if set."""
     return ERROR_BUDGET_FRACTION * (tolerance or _DEFAULT_TOLERANCE)
 
 
@@ -130,7 +130,7 @@ def random_perturbation(x: Array, free: np.ndarray, random: np.random.Generator,
 
 
 def reference_positions(equations: Equations, frame: SimulatedFrame, state: State) -> Array:
-    """Return positions (3, n) [m] at a frame's end, by the reference integrator from a state at its beginning."""
+    """Integrate a frame by the reference integrator from a state at its start; return end positions (3, n) [m]."""
     motion = ReferenceMotion(state)
     motion.apply_grasps(frame)
     plan = equations.plan(frame, motion)

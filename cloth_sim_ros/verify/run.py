@@ -46,12 +46,12 @@ _DIAGNOSTICS_WITHIN = 10.0
 
 
 class RunObserver(Protocol):
-    """Observer of a session's re-run, frame by frame."""
+    """Observer of a session's re-run; `verify` calls its methods for each frame, its cloud and its end."""
 
     def on_frame(
         self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
     ) -> None:
-        """Receive a frame of the re-run, with scene and state before it."""
+        """Receive a frame that was run again, with the scene and the state before it, and its record."""
 
     def on_cloud(self, recorded: NDArray[np.floating], is_same: bool) -> None:
         """Receive the frame's recorded positions (n, 3) [m]; `is_same`: they equal those of the re-run."""
@@ -66,7 +66,7 @@ def verify(
     on_progress: Callable[[int], None] = lambda _bytes: None,
     observer: RunObserver | None = None,
 ) -> Verdict:
-    """Run a session again and compare each message with the recording; return the verdict.
+    """Run a session again and compare each message with the recording; return the verdict. Raises SessionError.
 
     Args:
         paths: the files of one session, in order.
@@ -120,7 +120,7 @@ class _SessionRun:
         self._diagnostics: DiagnosticsCheck | None = None
 
     def begin(self, part: SessionPart) -> None:
-        """Begin a file: build the simulation and the checks from its opening snapshot."""
+        """Begin a file: build the simulation and the checks from its opening snapshot. Raises SessionError."""
         self._part = part
         self.simulation = simulation = _simulation(part)
         scene, from_start = simulation.scene, simulation.frame == 0

@@ -38,7 +38,7 @@ class StateCheck:
         self._is_explained = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
-        """Compare a message on `~/state` with the pause of the simulation at the last frame."""
+        """Compare a message on `~/state` with the pause of the simulation at the last frame; report a difference."""
         try:
             content = decode(message.data, STATE)
         except SessionError as error:
@@ -59,7 +59,7 @@ class StateCheck:
             self._findings.count_not_compared(message.topic, f"{content.label}, which the node's clock or end decides")
 
     def open_frame(self) -> None:
-        """Begin a frame of the re-run: the last state may be outdated."""
+        """Begin a frame of the re-run; from then on the last state counts as older than the frame."""
         self._is_older = True
 
     def is_due(self, simulation: Simulation) -> bool:
@@ -91,7 +91,7 @@ class GripperStateCheck:
         return changed
 
     def compare(self, message: Message, name: str, reason: str, simulation: Simulation) -> None:
-        """Compare the recorded state of a gripper with the simulation after the last frame."""
+        """Compare a gripper's recorded state with the simulation after the last frame; report a difference."""
         recorded = self._read(message, name)
         if recorded is None:
             return
@@ -109,7 +109,7 @@ class GripperStateCheck:
             self._findings.add_difference("gripper state", text, rounding=rounding)
 
     def compare_older(self, message: Message, name: str, simulation: Simulation) -> None:
-        """Compare a gripper's state from before the beginning of the file, as far as it must still hold."""
+        """Compare a gripper's state from before the file's beginning, as far as it must hold; report a difference."""
         recorded = self._read(message, name)
         if recorded is None:
             return

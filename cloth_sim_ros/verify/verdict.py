@@ -72,7 +72,7 @@ class FramePosition:
 
 
 class Findings:
-    """Collector of the findings of several checks, in any order, in a verdict.
+    """Collector of the results of several checks, in any order; its methods change `verdict`.
 
     Args:
         verdict: the verdict.
@@ -106,7 +106,7 @@ class Findings:
     def add_difference(
         self, kind: str, reason: str, *, position: FramePosition | None = None, rounding: bool = False, count: int = 1
     ) -> None:
-        """Count differing messages of a kind; the first difference in the order of the session is described.
+        """Count `count` differing messages of a kind; the first difference in the session's order is described.
 
         Args:
             kind: kind of message; a frame record is of kind "frame".

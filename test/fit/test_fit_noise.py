@@ -85,7 +85,7 @@ def test_jackknife_agrees_with_refits() -> None:
     gradient = np.einsum("gij,j->gi", information, whole) - moments
     problem: Any = SimpleNamespace(
         parameters=[0, 1],
-        alignment=SimpleNamespace(is_shared=lambda: np.zeros(0, dtype=bool)),
+        alignment=SimpleNamespace(shared_mask=lambda: np.zeros(0, dtype=bool)),
         prior=lambda _point: (np.zeros(2), np.zeros(2)),
     )
     solution: Any = SimpleNamespace(
@@ -111,7 +111,7 @@ def jackknife_of(information: np.ndarray, prior: float) -> Covariance:
     gradient = np.einsum("gij,gj->gi", roots, np.random.default_rng(4).normal(size=(count, n)))
     problem: Any = SimpleNamespace(
         parameters=list(range(n)),
-        alignment=SimpleNamespace(is_shared=lambda: np.zeros(0, dtype=bool)),
+        alignment=SimpleNamespace(shared_mask=lambda: np.zeros(0, dtype=bool)),
         prior=lambda _point: (np.full(n, prior), np.zeros(n)),
     )
     equations = SimpleNamespace(information=information, gradient=gradient - gradient.mean(axis=0))
@@ -229,4 +229,4 @@ def test_alignment_columns_follow_kinds() -> None:
     separate.write_alignment(unknowns, 2, CAMERA)
     assert separate.alignment(unknowns, 2) == CAMERA
     assert separate.alignment(unknowns, 1) == Alignment()
-    assert not separate.is_shared().any()
+    assert not separate.shared_mask().any()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.fit.recording import FitRecording
-from cloth_sim_ros.fit.scores import Score, excess_misfit, gripper_poses, pooled_score
+from cloth_sim_ros.fit.scores import Score, excess_misfit, gripper_positions, pooled_score
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Target
 
@@ -26,9 +26,9 @@ def test_gripper_is_at_its_first_target_before() -> None:
     recording = FitRecording(
         name="late", scene=Scene(), state=None, events=events, frames=none, seconds=none, clouds=()
     )
-    poses = gripper_poses(recording, np.array([0.0, 1.0, 2.5, 4.0]), ["a", "b"])
-    assert poses[:, 0, 0].tolist() == [1.0, 1.0, 2.0, 3.0]
-    assert poses[:, 1, 0].tolist() == [5.0, 5.0, 5.0, 5.0]
+    positions = gripper_positions(recording, np.array([0.0, 1.0, 2.5, 4.0]), ["a", "b"])
+    assert positions[:, 0, 0].tolist() == [1.0, 1.0, 2.0, 3.0]
+    assert positions[:, 1, 0].tolist() == [5.0, 5.0, 5.0, 5.0]
 
 
 def test_misfit_beyond_floor_is_its_root_mean_square() -> None:

@@ -39,7 +39,7 @@ def point_of(problem: JointProblem) -> Point:
     eta = np.zeros(problem.alignment.n_unknowns)
     first = problem.evaluate(problem.start, eta, [0], 1e-4)
     assert isinstance(first, Point)
-    problem.settle_again(first, [0])
+    problem.replace_rest_states(first, [0])
     point = problem.evaluate(problem.start, eta, [0], 1e-4)
     assert isinstance(point, Point)
     return point
