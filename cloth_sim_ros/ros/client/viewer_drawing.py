@@ -20,7 +20,7 @@ _FINISH_TIMEOUT = 10.0
 
 
 def read_options(argv: Sequence[str]) -> argparse.Namespace:
-    """Parse the options of `cloth_viewer` in a command line; arguments of ROS are left out.
+    """Parse the options of `cloth_viewer` in a command line, without ROS arguments; argparse exits for invalid ones.
 
     Raises:
         SystemExit: raised by argparse.

@@ -60,7 +60,7 @@ class FrameTransformer:
         *,
         max_age: int = MAX_TRANSFORM_AGE,
     ) -> Pose:
-        """Transform a pose into the cloth's frame; return position [m] and orientation (or None).
+        """Transform a pose into the cloth's frame; return position [m] and orientation (or None), or raise FrameError.
 
         Args:
             frame_id: frame of the command; empty means the cloth's.

@@ -46,7 +46,7 @@ _SKIP_FILES = ("SKIP_DEFAULT_XML_FILE", "SKIP_DEFAULT_XML")
 
 @contextlib.contextmanager
 def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
-    """Configure Fast DDS so that the process's first ROS node has a shared-memory segment for its clouds.
+    """Context whose environment lets Fast DDS give the process's first ROS node a shared-memory segment for clouds.
 
     Within this context, initialize rclpy and create the node. Nothing changes if the user chose transports or another
     middleware.
@@ -63,7 +63,7 @@ def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
 
 @contextlib.contextmanager
 def large_segment(message_bytes: int, rate: float) -> Iterator[str]:
-    """Configure Fast DDS for large messages of a total size [bytes], sent at a rate [Hz].
+    """Context whose environment sets Fast DDS up for messages of a total size [bytes], sent at a rate [Hz].
 
     Otherwise as `cloud_transports`.
     """
@@ -151,7 +151,7 @@ def _set_segment(stack: contextlib.ExitStack, requested: int) -> str:
 
 
 def _udp_variables(stack: contextlib.ExitStack) -> dict[str, str | None]:
-    """Return the environment variables that restrict Fast DDS to UDP."""
+    """Return environment variables that restrict Fast DDS to UDP; None for one to remove. May write a profile."""
     local = os.environ.get(_ONLY_LOCAL) == "1" or os.environ.get(_RANGE, "").upper() == "LOCALHOST"
     if not local:
         return {_BUILTIN: "UDPv4"}

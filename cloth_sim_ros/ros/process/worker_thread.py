@@ -40,7 +40,7 @@ class InterruptibleLock:
         self._lock = threading.RLock()
 
     def __enter__(self) -> None:
-        """Wait for the lock and take it; give up if a stop signal came.
+        """Wait for the lock and take it; raise StopRequestedError if a stop signal came and it is not free in 0.1 s.
 
         Raises:
             StopRequestedError: if a signal has come and the lock is not free within 0.1 s.

@@ -118,7 +118,7 @@ class WallPacer:
         self._timer_thread.start()
 
     def stop(self) -> bool:
-        """Stop the ticks; return true if no frame is running."""
+        """Stop the ticks, and wait at most 0.2 s; return true if no frame is running."""
         if self._timer_thread is None:
             return True
         if self._ended.locked():
@@ -175,7 +175,7 @@ class WallPacer:
             self._pending_since = time.monotonic_ns()
 
     def _serve(self) -> None:
-        """Run the due frame in the executor, if all commands were taken; else request another spin."""
+        """Run the due frame in the executor if all commands were taken, else request a spin; raise a timer's error."""
         if self._error is not None:
             raise self._error
         if self._timer_thread is None:

@@ -110,7 +110,7 @@ class Stepper:
         self.answer()
 
     def _impossible_events(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
-        """Return the events that can't take effect any more, with the reasons."""
+        """Return pairs of an event that can't take effect any more, and the reason."""
         impossible = []
         for entry in entries:
             try:
