@@ -106,7 +106,7 @@ def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) 
 
 
 def factor(rows: Array, inner: int) -> bool:
-    """Eliminate the first ``inner`` block rows in place by Cholesky; return false unless they are positive definite.
+    """Eliminate the first ``inner`` block rows in place by Cholesky; false, half done, if not positive definite.
 
     They are replaced by their rows of the Cholesky factor U (A = U'U), diagonals inverted; the others by their Schur
     complement. With all block rows that is the whole factorisation.

@@ -248,7 +248,7 @@ def engine_name() -> str:
 
 
 def check(status: int) -> None:
-    """Raise the error that an engine function's status code reports; do nothing for status 0.
+    """Raise MemoryError, RuntimeError or EngineError for an engine function's status code; do nothing for status 0.
 
     Raises:
         MemoryError: if there is not enough memory.

@@ -122,7 +122,7 @@ class ClothNode:
 
     @property
     def published(self) -> int:
-        """Number of clouds published on ~/points."""
+        """Number of clouds published on ~/points for subscribers or a recording."""
         return self.outputs.cloth.published
 
     @property
@@ -192,7 +192,7 @@ class ClothNode:
         return bool(self.recording.saved)
 
     def __enter__(self) -> Self:
-        """Return the cloth; the context closes it at its end."""
+        """Return the cloth without starting it; the context closes it at its end."""
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -109,7 +109,7 @@ class CameraOutput:
             self._publishers[LABEL_NAMES].publish(String(data=json.dumps(names)))
 
     def send(self, frame: CameraFrame, bodies: Bodies) -> None:
-        """Render a frame and publish it on topics with subscribers; wait 0.1 s at most for TF, send nothing without."""
+        """Render a frame and publish it on topics with subscribers; warn and send nothing without TF after 0.1 s."""
         pose = self._pose(frame)
         if pose is None:
             return

@@ -129,7 +129,7 @@ class Cameras:
             self._process = None
 
     def _encode(self, job: CameraSetup | CameraFrame) -> CameraSetup | CameraFrame:
-        """Return a job without the bodies that the process already has, because meshes are large."""
+        """Return a job without the bodies that earlier jobs have sent, because meshes are large; note its bodies."""
         if isinstance(job, CameraSetup) or job.bodies is None:
             return job
         sent, self._sent_bodies = self._sent_bodies, job.bodies

@@ -143,7 +143,7 @@ class CommandSubscriptions:
         self._log.warn(f"misfit {topic}", f"a publisher of {topic} {fault}")
 
     def last_target_time(self, gripper: str) -> int | None:
-        """Return the ROS time [ns] at which the newest accepted target or twist of a gripper came; None before."""
+        """Return the ROS time [ns] at which a gripper's newest accepted target or twist came; None before the first."""
         return self._last_target_times.get(gripper)
 
     def is_drained(self) -> bool:

@@ -229,7 +229,7 @@ def _check_tf(settings: RobotParameters) -> None:
 
 
 def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, settings: RobotParameters) -> Array:
-    """Return the poses of the links' obstacles in the cloth's frame, by TF or joint positions, shape (count, 7).
+    """Return the poses (count, 7) of the links' obstacles in the cloth's frame, by TF or joints, or FrameError.
 
     Raises:
         FrameError: if TF lacks a frame.

@@ -92,7 +92,7 @@ class FrameTransformer:
         return tuple(new_position.tolist()), new_orientation
 
     def newest(self, frame_id: str) -> tuple[tuple[float, ...], tuple[float, ...], int]:
-        """Return the newest position [m], orientation x, y, z, w and stamp [ns] of a frame in the cloth's frame.
+        """Return a frame's newest position [m], orientation x, y, z, w and stamp [ns] in the cloth's, or FrameError.
 
         Raises:
             FrameError: if no transform connects the frames.

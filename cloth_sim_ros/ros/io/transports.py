@@ -46,7 +46,7 @@ _SKIP_FILES = ("SKIP_DEFAULT_XML_FILE", "SKIP_DEFAULT_XML")
 
 @contextlib.contextmanager
 def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
-    """Context whose environment lets Fast DDS give the process's first ROS node a shared-memory segment for clouds.
+    """Context whose environment makes Fast DDS give the first node shared memory for clouds; yields a warning or "".
 
     Within this context, initialize rclpy and create the node. Nothing changes if the user chose transports or another
     middleware.
@@ -63,10 +63,7 @@ def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
 
 @contextlib.contextmanager
 def large_segment(message_bytes: int, rate: float) -> Iterator[str]:
-    """Context whose environment sets Fast DDS up for messages of a total size [bytes], sent at a rate [Hz].
-
-    Otherwise as `cloud_transports`.
-    """
+    """Context, as `cloud_transports`, for messages of a total size [bytes] that are sent at a rate [Hz]."""
     with _segment(lambda: _segment_size(message_bytes, rate)) as warning:
         yield warning
 

@@ -78,7 +78,7 @@ class WorkerThread:
         return self._running
 
     def run(self, job: Callable[[], T]) -> T:
-        """Run a job in the worker thread and wait for it; return what it returns, or raise what it raises.
+        """Run a job in the worker thread and wait for it; return or raise what it does; StopRequestedError on a signal.
 
         Raises:
             StopRequestedError: if a signal came before the job, or comes and the job does not end within 0.1 s. A job

@@ -276,7 +276,7 @@ class SessionRecording:
             self._pending.append(lambda recorder: recorder.record(*message, **options))
 
     def save_state(self) -> Path:
-        """Write the cloth's state as .npz into the recording folder, and return its path.
+        """Write the cloth's state as .npz into the recording folder; return its path, or RecordingUnavailableError.
 
         Raises:
             RecordingUnavailableError: if the file can't be written; the message has the cause and the remedy.

@@ -87,7 +87,7 @@ class RecordingControl:
     saved: bool | None = attrs.field(default=None, init=False)
 
     def begin_with_node(self, now: int) -> None:
-        """Start a recording with the node at a ROS time [ns], and wait for its file.
+        """Start a recording at a ROS time [ns] and wait for its file; without the libraries, only log an error.
 
         Raises:
             RecordingUnavailableError: if the recording can't start although its libraries are installed.

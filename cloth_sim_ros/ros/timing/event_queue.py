@@ -62,7 +62,7 @@ class EventQueue:
         return len(self._entries)
 
     def evict_target(self, event: Event) -> None:
-        """Make room for an event: if the queue is full, remove the oldest target without an answer.
+        """Make room for an event: if the queue is full, remove the oldest target unanswered, or raise QueueFullError.
 
         Raises:
             QueueFullError: if the queue is full and holds no target.
@@ -82,7 +82,7 @@ class EventQueue:
     def put(
         self, event: Event, *, stamp: int = 0, answer: AnswerCallback | None = None, reserved: bool = False
     ) -> None:
-        """Queue an event for its frame; `reserved` if `evict_target` was called before, so that nothing is raised.
+        """Queue an event for its frame; raise QueueFullError without room, unless `evict_target` `reserved` it before.
 
         Raises:
             QueueFullError: if the queue is full and holds no target.

@@ -99,7 +99,7 @@ class FrameTiming:
         )
 
     def check_clock(self) -> None:
-        """Check if a followed /clock stands, and if others publish it too. Call it a few times a second."""
+        """Check if a followed /clock stands, or if others publish /clock too. Call it a few times a second."""
         if isinstance(self.pacer, ClockPacer):
             self.pacer.check()
         if self.clock_publisher is not None:

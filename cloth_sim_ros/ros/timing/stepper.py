@@ -43,7 +43,7 @@ class Stepper:
         self._results: list[tuple[QueuedEvent, EventResult]] = []
 
     def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame | None:
-        """Compute the frame due at a ROS time [ns] with the events queued for it; return None if it was aborted.
+        """Compute the frame due at a ROS time [ns] with its queued events; None if aborted. Instability sets `trouble`.
 
         Args:
             stamp: ROS time [ns]; events with later stamps stay in the queue.
