@@ -114,7 +114,7 @@ def link_flags(name: str, *, sanitize: bool = False) -> list[str]:
 
 
 def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
-    """Return the C++ compiler's command: $CXX, else the first of `COMPILERS` that is installed; else NoCompilerError.
+    """Return the C++ compiler's command as a list: $CXX, else the first of `COMPILERS` here; else NoCompilerError.
 
     Raises:
         NoCompilerError: if there is none.

@@ -96,7 +96,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 @contextlib.contextmanager
 def reserved_domain() -> Iterator[None]:
-    """Context that limits discovery to this machine and reserves a ROS domain, unless the environment has them."""
+    """Context that sets discovery to this machine and a reserved ROS_DOMAIN_ID, unless the environment has them."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" in os.environ:
         yield

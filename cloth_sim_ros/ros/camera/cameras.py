@@ -78,7 +78,7 @@ class Cameras:
         self._process.put(self._setup)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Queue a frame due at a ROS time [ns], if a subscribed camera is due; it replaces one that was not sent."""
+        """Queue a frame due at a ROS time [ns] for the process if a subscribed camera is due; replace an unsent one."""
         subscribed, scene = self._subscribed, self._simulation.scene
         if not subscribed or self._process is None:
             return
@@ -129,7 +129,7 @@ class Cameras:
             self._process = None
 
     def _encode(self, job: CameraSetup | CameraFrame) -> CameraSetup | CameraFrame:
-        """Return a job without the bodies that earlier jobs have sent, because meshes are large; note its bodies."""
+        """Return a job without bodies that the process has already (meshes are large); remember its bodies as sent."""
         if isinstance(job, CameraSetup) or job.bodies is None:
             return job
         sent, self._sent_bodies = self._sent_bodies, job.bodies

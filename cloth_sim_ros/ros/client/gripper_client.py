@@ -124,7 +124,7 @@ class GripperClient:
                 self._hold_until = max(elapsed, self.script.rest_end(grasp.time))
 
     def has_played(self, elapsed: float, now: float) -> bool:
-        """Return true if the script has ended and the result of its last grasp is known."""
+        """Return true if the script has ended and its last result is known or overdue; append its report then."""
         return elapsed > self.script.duration and not self.pending and self._collect_answer(now)
 
     def finish(self) -> None:

@@ -82,7 +82,7 @@ class Output:
 
     @property
     def subscription_count(self) -> int:
-        """Number of subscribers."""
+        """Number of matched subscribers, counted at each access."""
         return int(self._publisher.get_subscription_count())
 
     @property

@@ -124,7 +124,7 @@ def _has_users_transports() -> bool:
 
 
 def _set_segment(stack: contextlib.ExitStack, requested: int) -> str:
-    """Set the environment for a segment of a size [bytes], or for UDP if memory is short; return a warning or ""."""
+    """Set the environment, until ``stack`` closes, for a segment [bytes], or UDP if short; return a warning or ""."""
     requested = min(requested, _MAX_SEGMENT)
     try:
         status = os.statvfs(_SHARED_MEMORY)

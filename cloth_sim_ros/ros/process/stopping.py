@@ -47,7 +47,7 @@ class StopSignals:
 
     @contextmanager
     def exiting_at_once(self) -> Iterator[None]:
-        """Context in which the first signal ends the process at once, because nothing needs a shutdown yet.
+        """Context in which the first signal ends the process at once, with status 0: nothing needs a shutdown yet.
 
         Used during imports: an exception there may be mistaken for a missing library and leaves partial modules.
         """

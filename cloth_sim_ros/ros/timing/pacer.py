@@ -42,7 +42,7 @@ _MIN_STANDING_PERIOD = 0.01
 
 @attrs.frozen(kw_only=True)
 class FrameTick:
-    """Request to compute one frame, with stamp and lateness."""
+    """Request to compute one frame: its stamp and start in ROS time [ns], lateness [ns], and ticks skipped before."""
 
     #: ROS time of the tick [ns].
     stamp: int
@@ -131,7 +131,7 @@ class WallPacer:
         return True
 
     def _tick_index(self) -> int:
-        """Index of the newest tick: number of periods since the start."""
+        """Return the index of the newest tick: number of periods since the start."""
         return (time.monotonic_ns() - self._start) // self.period
 
     def _timer_loop(self) -> None:

@@ -98,14 +98,14 @@ class Stepper:
         return None if self.aborted else frame
 
     def answer(self) -> None:
-        """Call the answer callbacks of the newest frame's events with their results."""
+        """Call the answer callbacks of the newest frame's events with their results, once."""
         results, self._results, self._entries = self._results, [], []
         for entry, result in results:
             if entry.answer is not None:
                 entry.answer(result)
 
     def refuse(self, reason: str) -> None:
-        """Call the answer callbacks of the newest frame's events with the reason why the frame failed."""
+        """Call the answer callbacks of the newest frame's events, once, with the reason why the frame failed."""
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
 
