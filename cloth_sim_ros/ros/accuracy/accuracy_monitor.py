@@ -62,7 +62,7 @@ class AccuracyMonitor:
             self._events, self._n_moved = [], 0
 
     def after_frame(self, simulation: Simulation, frame: Frame) -> None:
-        """Add the frame's events to the open window; send it to the worker process once it spans 1 s of motion."""
+        """Add a frame's events to the open window; queue it for the worker at 1 s of motion; replace an unsent one."""
         if self._start is None or self._scene is None or not (frame.moved or frame.events):
             return
         self._events.append(frame.events)

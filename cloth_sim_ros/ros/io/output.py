@@ -128,7 +128,7 @@ class Output:
 
 
 def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind: str = PUBLISHER) -> QoSProfile:
-    """Return a topic's quality of service with the node's overrides applied, as a new profile.
+    """Return a topic's quality of service with the node's overrides applied, as a new profile, or ParameterError.
 
     Overrides are validated here, because rclpy's errors name no parameter.
 

@@ -24,7 +24,7 @@ class ArgumentsError(ValueError):
 
 
 def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """Return the parsed arguments that are not for ROS; start rclpy with the others, without signal handlers.
+    """Start rclpy with the ROS arguments, without signal handlers; return the others, parsed, or ArgumentsError.
 
     Raises:
         ArgumentsError: if rclpy refuses the ROS arguments or can't start in this environment.
