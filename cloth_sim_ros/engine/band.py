@@ -89,7 +89,7 @@ def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: In
 
 
 def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) -> None:
-    """Add masses (n,) and blocks (6, n: xx, yy, zz, xy, xz, yz) to the diagonal blocks of block rows ``places`` (n,).
+    """Add masses (n,) and blocks (6, n: xx, yy, zz, xy, xz, yz) to diagonal blocks at ``places`` (n,), unless negative.
 
     Raises:
         ValueError: if an argument does not fit the others.
