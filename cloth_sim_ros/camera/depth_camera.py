@@ -22,7 +22,7 @@ NO_LABEL, CLOTH_LABEL = 0, 1
 
 
 def intrinsics(camera: CameraParameters) -> tuple[float, float, float, float]:
-    """Return a camera's focal lengths and centre fx, fy, cx, cy [pixels]; pixel centres have integer coordinates."""
+    """Return a camera's fx, fy, cx, cy [pixels], as set or by its field of view; centres of pixels are integers."""
     if any(camera.intrinsics):
         fx, fy, cx, cy = camera.intrinsics
         return fx, fy, cx, cy
@@ -31,7 +31,7 @@ def intrinsics(camera: CameraParameters) -> tuple[float, float, float, float]:
 
 
 class DepthCamera:
-    """A pinhole camera with z forward, x right and y down.
+    """Renderer of depth and label images of a cloth and bodies: a pinhole camera with z forward, x right and y down.
 
     Args:
         name: its name, a part of the seed.
@@ -54,7 +54,7 @@ class DepthCamera:
     def render(
         self, pose: ArrayLike, x: Array, bodies: Iterable[tuple[Obstacle, Array, int]], *, frame: int = 0
     ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-        """Return depth [m] and label of what each pixel sees from a pose, shape (height, width) each.
+        """Return depths [m], NaN without a surface, and labels, (height, width) each; the next call changes the labels.
 
         Args:
             pose: its position [m] and orientation x, y, z, w.
@@ -88,7 +88,7 @@ class DepthCamera:
         return depths, labels
 
     def points(self, depths: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the points in the optical frame that depths [m] belong to, shape (height, width, 3) [m]."""
+        """Return the points of depths [m] (height, width) in the optical frame, shape (height, width, 3) [m]."""
         points = np.empty((*depths.shape, 3), np.float32)
         np.multiply(depths, self._rays[0], out=points[..., 0])
         np.multiply(depths, self._rays[1], out=points[..., 1])
@@ -96,13 +96,13 @@ class DepthCamera:
         return points
 
     def _remove_out_of_range(self, depths: NDArray[np.float32], labels: NDArray[np.uint16]) -> None:
-        """Remove depths [m] out of the camera's range, and their labels."""
+        """Set depths [m] out of the camera's range to NaN, and their labels to 0, in place."""
         out_of_range = ~((depths >= self.parameters.min_depth) & (depths <= self.parameters.max_depth))
         depths[out_of_range] = np.nan
         labels[out_of_range] = NO_LABEL
 
     def _with_noise(self, depths: NDArray[np.float32], frame: int) -> NDArray[np.float32]:
-        """Return depths as a stereo camera measures them, by disparity fx baseline / z; overwrites its argument."""
+        """Return depths [m] with noise and steps of a stereo camera's disparity fx baseline / z; changes `depths`."""
         camera = self.parameters
         scale = np.float32(self.intrinsics[0] * camera.baseline)
         disparities = np.divide(scale, depths, out=depths)
@@ -124,13 +124,13 @@ _Motion = tuple[Array, Array]
 
 
 def _motion(pose: ArrayLike) -> _Motion:
-    """Return rotation matrix and translation [m] of a pose."""
+    """Return rotation matrix (3, 3) and translation [m] of a pose: position [m] and quaternion x, y, z, w (7,)."""
     numbers = np.asarray(pose, dtype=np.float64)
     return rotation_matrix(normalized(numbers[3:])), numbers[:3]
 
 
 def _rotate(rotation: Array, columns: Array) -> Array:
-    """Return the product of a rotation matrix with columns (3, ...), with a fixed order of sums."""
+    """Return the product of a rotation matrix (3, 3) with columns (3, ...), with a fixed order of sums."""
     first, second, third = (np.multiply.outer(rotation[:, k], columns[k]) for k in range(3))
     return np.asarray(first + second + third)
 
@@ -149,7 +149,7 @@ def _placement(motion: _Motion) -> Array:
 
 
 def label_numbers(names: Sequence[str], known: dict[str, int]) -> dict[str, int]:
-    """Return the image labels of the cloth and of all bodies by name; new names take the next numbers.
+    """Return {name: label} of the cloth (1) and all bodies: known labels stay, new names take the next numbers.
 
     Args:
         names: names of the present bodies.

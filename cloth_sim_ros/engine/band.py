@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Symmetric band matrices of 3x3 blocks, an order that keeps them narrow, and sums in a fixed order (core/band.hpp).
 
-A matrix is an array made by `rows`. Block row I holds the blocks J = I ... I + width of the upper half.
+A matrix is an array made by `zeros`. Block row I holds the blocks J = I ... I + width of the upper half.
 The entry (3 I + r, 3 J + c) is ``rows[I, r, 3 (J - I) + c]``. The padding stays zero.
 """
 
@@ -37,7 +37,7 @@ _FUNCTIONS = {
 }
 
 
-def rows(count: int, width: int) -> Array:
+def zeros(count: int, width: int) -> Array:
     """Return a zero symmetric band matrix: ``count`` rows of 3x3 blocks, each with ``width`` blocks above the diagonal.
 
     Raises:
@@ -50,7 +50,7 @@ def rows(count: int, width: int) -> Array:
 
 
 def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: Index) -> None:
-    """Add 3x3 blocks B of chosen particle pairs: sym(B) to both particles' diagonal blocks, -B to the pair's block.
+    """Add 3x3 blocks B of chosen pairs to the matrix ``rows``: sym(B) to both diagonal blocks, -B to the pair's block.
 
     Args:
         rows: the matrix.
@@ -89,7 +89,7 @@ def assemble(rows: Array, places: Index, pairs: Index, blocks: Array, chosen: In
 
 
 def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) -> None:
-    """Add masses (n,) and blocks (6, n: xx, yy, zz, xy, xz, yz) to the diagonal blocks of block rows ``places`` (n,).
+    """Add masses (n,) and blocks (6, n: xx, yy, zz, xy, xz, yz) to diagonal blocks at ``places`` (n,), unless negative.
 
     Raises:
         ValueError: if an argument does not fit the others.
@@ -106,7 +106,7 @@ def assemble_diagonal(rows: Array, places: Index, masses: Array, blocks: Array) 
 
 
 def factor(rows: Array, inner: int) -> bool:
-    """Eliminate the first ``inner`` block rows in place by Cholesky; return false unless they are positive definite.
+    """Eliminate the first ``inner`` block rows in place by Cholesky; false, half done, if not positive definite.
 
     They are replaced by their rows of the Cholesky factor U (A = U'U), diagonals inverted; the others by their Schur
     complement. With all block rows that is the whole factorisation.
@@ -120,7 +120,7 @@ def factor(rows: Array, inner: int) -> bool:
 
 
 def forward(rows: Array, inner: int, y: Array) -> None:
-    """Substitute forward in place: eliminate the first ``inner`` unknowns from the right-hand side y (block rows, 3).
+    """Substitute forward in y (block rows, 3), in place, by rows from `factor`: eliminate the first ``inner`` unknowns.
 
     Raises:
         ValueError: if an argument does not fit the others.
@@ -129,7 +129,9 @@ def forward(rows: Array, inner: int, y: Array) -> None:
 
 
 def backward(rows: Array, inner: int, y: Array) -> None:
-    """Substitute backward in place: solve y (block rows, 3) for its first ``inner`` unknowns; the others are solved.
+    """Substitute backward in y (block rows, 3), in place: solve its first ``inner`` unknowns by rows from `factor`.
+
+    The other unknowns of y are solved already, and stay.
 
     Raises:
         ValueError: if an argument does not fit the others.
@@ -187,7 +189,7 @@ def cuthill_mckee(count: int, pairs: Index) -> Index:
 
 
 def fixed_sum(values: Array) -> float:
-    """Return the sum of an array, added in an order that depends on its size alone: the same bits on any machine.
+    """Return the sum of a contiguous float64 array, in an order that depends on its size alone: equal bits everywhere.
 
     Raises:
         ValueError: if it is not a contiguous array of float64.
@@ -220,18 +222,18 @@ def _padding() -> int:
 
 
 def _matrix(name: str, rows: Array) -> tuple[int, int, int]:
-    """Check a band matrix; return its address, number of block rows, and of blocks above the diagonal in a row."""
+    """Return address, number of block rows, and blocks above the diagonal of a band matrix; ValueError for others."""
     address = _address(name, rows, _FLOAT, (None, 3, None), written=True)
     blocks, remainder = divmod(rows.shape[2] - _padding(), 3)
     if remainder or blocks < 1:
-        raise ValueError(f"{name} has rows of {rows.shape[2]} numbers: make it with band.rows()")
+        raise ValueError(f"{name} has rows of {rows.shape[2]} numbers: make it with band.zeros()")
     return address, len(rows), blocks - 1
 
 
 def _address(
     name: str, array: Any, kind: np.dtype[Any], shape: tuple[int | None, ...], *, written: bool = False
 ) -> int:
-    """Check an array's type, shape (None: any size) and memory layout; return its address."""
+    """Return an array's address; ValueError for another type, shape (None: any size) or memory layout than expected."""
     if not isinstance(array, np.ndarray):
         raise ValueError(f"{name} is a {type(array).__name__}: it has to be an array of {kind}")
     sizes = array.shape

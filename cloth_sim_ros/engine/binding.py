@@ -69,11 +69,11 @@ CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctyp
 
 
 class EngineError(RuntimeError):
-    """Error: the engine's library is not built, or a call of it failed."""
+    """Error: the engine's library is missing or can't be loaded, or a call of it failed."""
 
 
 class FrameRequest(ctypes.Structure):
-    """Input and output of one engine call, which computes leapfrog runs; a C struct as in plan/frame_request.hpp."""
+    """Argument of `cloth_frame`: values and array pointers of leapfrog runs; the C struct of plan/frame_request.hpp."""
 
     _fields_ = (
         ("t", ctypes.c_double),
@@ -104,7 +104,7 @@ class FrameRequest(ctypes.Structure):
     )
 
 
-#: Packs a `Frame` in one call.
+#: Packs a `FrameRequest` in one call.
 FRAME = struct.Struct(
     "@" + "".join({ctypes.c_double: "d", ctypes.c_int64: "q"}.get(kind, "P") for _, kind in FrameRequest._fields_)
 )
@@ -200,7 +200,7 @@ _BRIEF = frozenset(
 
 @cache
 def library() -> ctypes.CDLL:
-    """Load the engine's library: for this machine's widest vectors, or the one that CLOTH_SIM_ROS_ENGINE names.
+    """Return the engine's library, loaded once: of the widest vectors here, or the choice of CLOTH_SIM_ROS_ENGINE.
 
     The environment variable names an instruction set, or a path. All libraries give the same bits.
 
@@ -243,12 +243,12 @@ def _prepared(path: Path) -> ctypes.CDLL:
 
 
 def engine_name() -> str:
-    """Name of the loaded library's instruction set, such as avx2."""
+    """Return the instruction set of the engine's library, such as avx2; loads the library if necessary."""
     return str(library().cloth_engine_name().decode())
 
 
 def check(status: int) -> None:
-    """Raise the error that an engine function's status code reports; do nothing for status 0.
+    """Raise MemoryError, RuntimeError or EngineError for an engine function's status code; do nothing for status 0.
 
     Raises:
         MemoryError: if there is not enough memory.
@@ -269,12 +269,12 @@ _addressof, _from_buffer = ctypes.addressof, ctypes.c_char.from_buffer
 
 
 def address(array: Any) -> int:
-    """Return the address of a C-contiguous, writable array that is not empty."""
+    """Return the memory address of a writable, C-contiguous, non-empty array; TypeError or ValueError for others."""
     return _addressof(_from_buffer(array))
 
 
 def float64_address(name: str, array: Array, shape: tuple[int, ...]) -> int:
-    """Check that an array is contiguous float64 of a shape; return its address for the engine.
+    """Return the address of a C-contiguous float64 array of a shape; ValueError, with the name, for another array.
 
     Raises:
         ValueError: for another shape or type, or an array that is not C-contiguous or not aligned.
@@ -295,7 +295,7 @@ def float64_address(name: str, array: Array, shape: tuple[int, ...]) -> int:
 
 
 def writable_address(name: str, array: Array, shape: tuple[int, ...]) -> int:
-    """Check that an array is writable, contiguous float64 of a shape; return its address for the engine.
+    """Return the address of a writable, C-contiguous float64 array of a shape; ValueError, with the name, for others.
 
     Raises:
         ValueError: as `float64_address` does, and for an array that is read-only.
@@ -309,7 +309,7 @@ def writable_address(name: str, array: Array, shape: tuple[int, ...]) -> int:
 def checked_floats(
     name: str, value: Any, shape: tuple[int, ...], *, lower: float = -np.inf, one_for_all: bool = True
 ) -> Array:
-    """Convert a value to a float64 array of a shape; refuse numbers that are not finite, broadcast a scalar.
+    """Convert a value, or a scalar for all, to a float64 array, perhaps a read-only view; ValueError unless finite.
 
     Raises:
         ValueError: for another shape, or a number that is not finite or below `lower`.
@@ -332,7 +332,7 @@ def checked_floats(
 
 
 def checked_indices(name: str, value: Any, columns: int, stop: int) -> Indices:
-    """Convert a value to an int64 array of particle indices, shape (m, columns); refuse indices outside 0 ... stop - 1.
+    """Convert a value to int64 particle indices (m, columns), perhaps itself; ValueError outside 0 ... stop - 1.
 
     Raises:
         ValueError: for another shape, numbers that are not whole, or one that is not from 0 to below `stop`.

@@ -80,7 +80,7 @@ class NoCompilerError(BuildError):
 
 
 def names_for(machine: str | None = None) -> tuple[str, ...]:
-    """Return a machine's (`uname -m`) variants of the library, e.g. baseline and avx2; None: this machine."""
+    """Return the names of a machine's libraries (`uname -m`; None: this machine), e.g. avx2; BuildError for others."""
     machine = machine or platform.machine()
     try:
         return MACHINES[machine]
@@ -90,7 +90,7 @@ def names_for(machine: str | None = None) -> tuple[str, ...]:
 
 
 def names_here() -> list[str]:
-    """Names of the libraries that this machine can run, the preferred one first; all of `names_for` if unknown.
+    """Return the names of the libraries that this machine can run, preferred first; BuildError on an unknown machine.
 
     A package that is used in place needs no other: no other machine loads it.
     """
@@ -98,23 +98,23 @@ def names_here() -> list[str]:
 
 
 def file_name(name: str) -> str:
-    """File name of a library: _avx2.so for the name avx2."""
+    """Return the file name of a library: _avx2.so for the name avx2."""
     return f"_{name}.so"
 
 
 def flags(name: str, *, sanitize: bool = False) -> list[str]:
-    """Compiler flags of a library; CXXFLAGS is not read, because it could change results."""
+    """Return the compiler flags of a library; CXXFLAGS is not read, because it could change results."""
     purpose = SANITIZED if sanitize else [OPTIMIZED.get(name, "-O3"), *PLAIN]
     return [*LANGUAGE, *purpose, *ARITHMETIC, *INSTRUCTION_SETS[name], *WARNINGS]
 
 
 def link_flags(name: str, *, sanitize: bool = False) -> list[str]:
-    """Flags that link the objects of a library. The sanitizers leave symbols undefined, which their library has."""
+    """Return the compiler flags that link a library's objects; with `sanitize`, symbols may be undefined."""
     return [*flags(name, sanitize=sanitize), *LINKED, *([] if sanitize else ["-Wl,-z,defs"])]
 
 
 def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
-    """The command of the C++ compiler: $CXX if it is set, else the first of `COMPILERS` that is installed.
+    """Return the C++ compiler's command as a list: $CXX, else the first of `COMPILERS` here; else NoCompilerError.
 
     Raises:
         NoCompilerError: if there is none.
@@ -138,7 +138,7 @@ def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
 
 
 def describe(compiler: Sequence[str]) -> str:
-    """Version of a compiler, as its `--version` prints it.
+    """Run a compiler with `--version` and return its output, the version; BuildError if it does not run.
 
     Raises:
         BuildError: if it does not run.
@@ -159,17 +159,17 @@ def describe(compiler: Sequence[str]) -> str:
 
 
 def source_files(sources: Path = ENGINE) -> list[Path]:
-    """All C++ sources, headers and linker maps below a folder, sorted by path."""
+    """Return all C++ sources, headers and linker maps below a folder, sorted by path."""
     return sorted(path for pattern in PATTERNS for path in sources.glob(pattern))
 
 
 def translation_units(sources: Path = ENGINE) -> list[Path]:
-    """The .cpp files below a folder, sorted by path."""
+    """Return the .cpp files below a folder, sorted by path."""
     return [path for path in source_files(sources) if path.suffix == ".cpp"]
 
 
 def included_files(unit: Path, sources: Path = ENGINE) -> list[Path]:
-    """A translation unit and all sources that it includes, directly or not, whatever conditions surround them."""
+    """Return a translation unit and all sources that it includes, directly or not, whatever their conditions."""
     files = {unit}
     waiting = [unit]
     while waiting:
@@ -185,7 +185,7 @@ def included_files(unit: Path, sources: Path = ENGINE) -> list[Path]:
 def fingerprint(
     arguments: Sequence[str], version: str, sources: Path = ENGINE, files: Sequence[Path] | None = None
 ) -> str:
-    """Build id: hash of flags, compiler version and source files (all if None), 40 hexadecimal digits."""
+    """Return a build id: hash of flags, compiler version and source files (all if None), 40 hexadecimal digits."""
     digest = hashlib.sha256("\0".join([*arguments, version]).encode())
     for path in source_files(sources) if files is None else files:
         content = path.read_bytes()
@@ -194,7 +194,7 @@ def fingerprint(
 
 
 def is_current(library: Path, build_id: str) -> bool:
-    """Return whether a library exists and has this build id."""
+    """Return true if a library's file contains this build id; false if it does not, or can't be read."""
     try:
         return bytes.fromhex(build_id) in library.read_bytes()
     except OSError:
@@ -220,7 +220,7 @@ def build(
     sources: Path = ENGINE,
     on_message: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
-    """Build the libraries of a folder that are not up to date; return the paths of all.
+    """Build, or copy, the libraries of a folder that are not up to date; return the paths of all.
 
     Args:
         folder: of the libraries; created if it is missing.
@@ -261,7 +261,7 @@ def build(
 def compile_units(
     stack: ExitStack, compiler: Sequence[str], version: str, names: Sequence[str], *, sanitize: bool, sources: Path
 ) -> dict[str, list[Path]]:
-    """Compile the translation units of libraries unless their objects exist; return the objects of each library.
+    """Compile the translation units of libraries unless their objects exist; return the paths of objects by library.
 
     The folder of the objects is locked until the stack is closed. Where the sources can't be written it is temporary.
     """
@@ -305,7 +305,7 @@ def compile_units(
 
 
 def replace(library: Path, make: Callable[[Path], object]) -> None:
-    """Replace a file atomically by one that `make` writes; a process that has loaded the old library keeps it."""
+    """Replace a file atomically by one that `make(path)` writes; a process that has loaded the old library keeps it."""
     target = library.with_name(f"{library.name}.{os.getpid()}.new").absolute()
     try:
         make(target)
@@ -315,7 +315,7 @@ def replace(library: Path, make: Callable[[Path], object]) -> None:
 
 
 def run(command: list[str], output: Path, *, name: str, version: str, sources: Path) -> None:
-    """Run the compiler, which writes to `output`.
+    """Run a compiler command in the folder of the sources, which writes `output`; BuildError if it fails.
 
     Raises:
         BuildError: with the compiler's output, if it fails.
@@ -331,7 +331,7 @@ def run(command: list[str], output: Path, *, name: str, version: str, sources: P
 
 
 def main() -> int:
-    """Build the engine's libraries by options of the command line; return the exit status."""
+    """Build the engine's libraries by options of the command line; return 0, or 1 after an error that is printed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--only", action="append", choices=INSTRUCTION_SETS, help="name of a library; by default all for this machine"

@@ -16,7 +16,7 @@ MAX_LABEL = 2**16 - 1
 
 
 class DepthImage:
-    """Inverse depths and labels of a pinhole camera's pixels, 0 where it sees no surface.
+    """Depth buffer of a pinhole camera: inverse depth [1/m] and label of each pixel, 0 where it sees no surface.
 
     The camera's frame has x right, y down and z forward; depth is z. Centres of pixels have integer coordinates.
 
@@ -40,13 +40,13 @@ class DepthImage:
 
     @property
     def inverse_depths(self) -> NDArray[np.float32]:
-        """Inverse depths [1/m], shape (height, width); the next drawing changes them."""
+        """Inverse depths [1/m], 0 without a surface, shape (height, width): a view that drawings change."""
         width, height = self._size
         return self._inverse[: width * height].reshape(height, width)
 
     @property
     def labels(self) -> NDArray[np.uint16]:
-        """Label of each pixel's surface, 0 for none, shape (height, width); the next drawing changes them."""
+        """Label of each pixel's surface, 0 for none, shape (height, width): a view that drawings change."""
         width, height = self._size
         return self._labels[: width * height].reshape(height, width)
 
@@ -56,7 +56,7 @@ class DepthImage:
         self._labels.fill(0)
 
     def draw_triangles(self, placement: Array, x: Array, triangles: Indices, label: int, *, solid: bool) -> None:
-        """Draw triangles into the image; each pixel keeps the nearest surface drawn so far.
+        """Draw triangles with a label into the image; each pixel keeps the nearest surface drawn so far.
 
         Args:
             placement: rotation matrix by rows and translation [m] from the vertices' frame to the camera's, 12 numbers.
@@ -91,7 +91,7 @@ class DepthImage:
         )
 
     def draw_solid(self, placement: Array, shape: str, size: ArrayLike, radius: float, label: int) -> None:
-        """Draw an obstacle's solid shape into the image, unless it contains the camera; the nearest surface stays.
+        """Draw a solid shape, no mesh, into the image, unless it contains the camera; the nearest surface stays.
 
         Args:
             placement: as in `draw_triangles`.

@@ -16,7 +16,7 @@ V4 = V3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 
 
 def libraries(*, machine: str | None = None, cpuinfo: Path = Path("/proc/cpuinfo")) -> list[str]:
-    """Names of the engine's libraries that this machine can run, preferred first; empty on an unsupported processor.
+    """Return the names of the libraries that this machine can run, preferred first; empty on an unknown processor.
 
     Args:
         machine: as `uname -m` names it; this machine if None.
@@ -32,7 +32,7 @@ def libraries(*, machine: str | None = None, cpuinfo: Path = Path("/proc/cpuinfo
 
 
 def common_flags(cpuinfo: Path) -> frozenset[str]:
-    """CPU feature flags that all processors of the machine have, because a thread may run on any of them."""
+    """Return the CPU feature flags that all processors in a cpuinfo file have; empty if it can't be read."""
     try:
         lines = cpuinfo.read_text(errors="replace").splitlines()
     except OSError:

@@ -96,7 +96,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 @contextlib.contextmanager
 def reserved_domain() -> Iterator[None]:
-    """Context with discovery limited to this machine and a reserved ROS domain, unless set: no real robot moves."""
+    """Context that sets discovery to this machine and a reserved ROS_DOMAIN_ID, unless the environment has them."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" in os.environ:
         yield
@@ -163,7 +163,7 @@ def _play(options: argparse.Namespace, duration: float, signals: StopSignals) ->
 
 
 def _watch(cloth: _Child, gripper: _Child, duration: float, received: Received, spin: Any) -> bool:
-    """Spin until the scripts have ended and the cloth has settled; return false if a signal came."""
+    """Spin until scripts and cloth have settled; false after a signal. DemoError if a process fails."""
     begun = time.monotonic()
     total = duration + _SETTLE_TIME
     bar = tqdm(
@@ -208,7 +208,7 @@ def report(received: Received) -> int:
 
 
 def _published_since(path: str, stamp: int) -> int:
-    """Return the number of clouds in a recorded session from a stamp [ns] on."""
+    """Return the number of clouds in a recorded session from a stamp [ns] on; DemoError if it can't be read."""
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.reader import SessionReader
 
@@ -220,7 +220,7 @@ def _published_since(path: str, stamp: int) -> int:
 
 
 class _Child:
-    """A child process whose output is kept for error messages; it ends with the demonstration."""
+    """A child process, started at once, whose output is stored for error messages; its context ends it."""
 
     def __init__(self, name: str, folder: Path, module: str, *arguments: str) -> None:
         self._name = name
@@ -253,7 +253,7 @@ class _Child:
         return self._process.poll()
 
     def log(self) -> str:
-        """Return the output of the process, for an error message."""
+        """Return the output of the process so far, for an error message."""
         return self._output.read_text(errors="replace")
 
     def check_alive(self) -> None:
@@ -263,7 +263,7 @@ class _Child:
             raise DemoError(f"{self._name} ended with status {status}\n{self.log()}")
 
     def stop(self, spin: Any) -> int:
-        """Interrupt the process, receive messages until it ends, and return its exit status."""
+        """Interrupt the process and call `spin` until it ends; return its exit status. DemoError after 10 s."""
         self._process.send_signal(signal.SIGINT)
         begun = time.monotonic()
         while self._process.poll() is None:

@@ -15,7 +15,7 @@ from cloth_sim_ros.session.command_runner import exit_on_signal
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command `cloth_gripper`: play scripted grasps to the grippers of a running cloth.
+    """Run the command `cloth_gripper`: play scripted grasps to grippers of a running cloth; return the exit status.
 
     Returns:
         Exit status: 0 if the scripts were played; 1 on failure or if a grasp held nothing; 130 if a signal ended it.

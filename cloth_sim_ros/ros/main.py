@@ -17,7 +17,7 @@ from cloth_sim_ros.ros.process.stopping import StopSignals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command `cloth_sim`: the node, or with `--check` the check of a parameter file.
+    """Run the command `cloth_sim`: the node, or with `--check` the check of a parameter file; return the exit status.
 
     Returns:
         Exit status: 0 if a signal stopped the node; 1 if it could not start, its recording could not be closed, or a

@@ -117,12 +117,12 @@ class ClothNode:
 
     @property
     def simulation(self) -> Simulation:
-        """Simulation of the cloth."""
+        """Live simulation of the cloth, no copy: frames change it."""
         return self.stepper.simulation
 
     @property
     def published(self) -> int:
-        """Number of clouds published on ~/points."""
+        """Number of clouds published on ~/points for subscribers or a recording."""
         return self.outputs.cloth.published
 
     @property
@@ -131,7 +131,7 @@ class ClothNode:
         return self.stepper.aborted
 
     def warm_up(self) -> None:
-        """Measure the step cost with a temporary copy of the cloth, and load the libraries for recording.
+        """Before `start`, measure the step cost with a temporary cloth, and load the libraries for recording.
 
         Raises:
             ValueError: if the scene can't be stepped.
@@ -141,7 +141,7 @@ class ClothNode:
         self.recording.session.prepare()
 
     def start(self) -> None:
-        """Start the recording if `record.enabled`, then publishers, subscriptions, services and the pacer.
+        """Start the recording if `record.enabled`, then publishers, subscriptions, services and, last, the pacer.
 
         Raises:
             RecordingUnavailableError: if the recording can't start although its libraries are installed.
@@ -167,13 +167,13 @@ class ClothNode:
         self.reporting.log.debug(lambda: f"Poisson's ratio, which follows from the moduli: {scene.poisson_ratio}")
 
     def stop(self) -> bool:
-        """Stop the pacer, so that no frame begins; return true if no frame is running any more."""
+        """Stop the pacer, so that no frame begins; if one still runs after 0.2 s, set `frame_aborted`, return false."""
         has_ended = self.timing.stop()
         self.stepper.aborted |= not has_ended
         return has_ended
 
     def close(self, *, timeout: float = 1.5) -> bool:
-        """End the recording and the node; return true if the file holds everything recorded.
+        """End recording, child processes and node; return true if no recording ran or its file holds everything.
 
         All entities in the graph and all threads end. If the context was shut down before, as rclpy's signal handlers
         do, nothing is published. A further call returns the same.
@@ -192,7 +192,7 @@ class ClothNode:
         return bool(self.recording.saved)
 
     def __enter__(self) -> Self:
-        """Return the cloth; the context closes it at its end."""
+        """Return the cloth without starting it; the context closes it at its end."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -247,7 +247,7 @@ class ClothNode:
         self.inputs.observe(frame)
         self.reporting.observe(frame, self.stepper.trouble)
         if self.outputs.must_publish(frame, start):
-            self.recording.session.extras |= self.outputs.labels(frame)
+            self.recording.session.extras |= self.outputs.record_extras(frame)
             self.recording.session.add_frame(frame, stamp)
             self.outputs.send(frame, stamp)
         self.outputs.send_late(stamp)
@@ -278,7 +278,7 @@ class ClothNode:
 
     def _maintain(self) -> None:
         with self._lock:
-            self.reporting.update()
+            self.reporting.publish_diagnostics()
             self.inputs.expire()
             self.reporting.log.flush()
             trouble = self.recording.update()

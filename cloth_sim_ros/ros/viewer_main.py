@@ -16,7 +16,7 @@ from cloth_sim_ros.session.command_runner import exit_on_signal
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command `cloth_viewer`: show a running cloth until a signal comes or the viewer is closed.
+    """Run the command `cloth_viewer`: show a running cloth until a signal or its end; return the exit status.
 
     Returns:
         Exit status: 0 at the end; 1 if it cannot be shown; 130 if a signal came while starting.

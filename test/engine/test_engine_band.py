@@ -15,7 +15,7 @@ from cloth_sim_ros.engine import band
 def filled(count: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     """A random positive definite matrix, and its dense equal."""
     random = np.random.default_rng(100 * count + width)
-    rows, dense = band.rows(count, width), np.zeros((3 * count, 3 * count))
+    rows, dense = band.zeros(count, width), np.zeros((3 * count, 3 * count))
     for i in range(count):
         for j in range(i, min(count, i + width + 1)):
             block = random.normal(size=(3, 3))
@@ -68,7 +68,7 @@ def test_couplings_are_assembled_in_either_order() -> None:
     random = np.random.default_rng(6)
     places, pairs = np.array([2, 0, -1, 1]), np.array([[0, 1], [1, 3], [2, 0]])
     blocks = random.normal(size=(3, 9))
-    rows, dense = band.rows(3, 2), np.zeros((9, 9))
+    rows, dense = band.zeros(3, 2), np.zeros((9, 9))
     band.assemble(rows, places, pairs, blocks, np.arange(3))
     for (a, b), block in zip(places[pairs], blocks.reshape(3, 3, 3), strict=True):
         for i in (a, b):
@@ -96,11 +96,11 @@ def test_halves_from_both_ends_are_joined() -> None:
     rows, dense = filled(8, 3)
     # The same matrix in reverse order of particles and of axes, then with the axes put back.
     back = dense.reshape(8, 3, 8, 3)[::-1, :, ::-1].reshape(24, 24)
-    turned = band.rows(8, 3)
+    turned = band.zeros(8, 3)
     for i in range(8):
         for j in range(i, min(8, i + 4)):
             turned[i, :, 3 * (j - i) : 3 * (j - i + 1)] = back[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
-    middle = band.rows(3, 2)
+    middle = band.zeros(3, 2)
     band.join(rows, turned, 5, 5, middle)
     expected = dense[15:, 15:] + dense[:9, :9]
     assert np.array_equal(dense_of(middle, 2), expected)
@@ -108,7 +108,7 @@ def test_halves_from_both_ends_are_joined() -> None:
 
 def test_entries_that_decay_do_not_become_denormal() -> None:
     # Unit masses, each coupled weakly with the next one and the one 60 further on: fill-in shrinks along each row.
-    rows = band.rows(70, 60)
+    rows = band.zeros(70, 60)
     for c in range(3):
         rows[:, c, c] = 1.0
         rows[:-1, c, 3 + c] = rows[:10, c, 180 + c] = 1e-4
@@ -197,13 +197,13 @@ def test_a_sum_has_one_order(count: int) -> None:
 
 
 def test_arguments_that_do_not_fit_are_refused_by_name() -> None:
-    rows = band.rows(4, 1)
+    rows = band.zeros(4, 1)
     places, pairs = np.arange(4), np.array([[0, 1], [1, 2]])
     blocks, chosen = np.zeros((2, 6)), np.array([0, 1])
     y, masses, single = np.zeros((4, 3)), np.ones(4), np.zeros((6, 4))
     wrong = [
-        ("count is -1", lambda: band.rows(-1, 2)),
-        ("width is -3", lambda: band.rows(2, -3)),
+        ("count is -1", lambda: band.zeros(-1, 2)),
+        ("width is -3", lambda: band.zeros(2, -3)),
         ("rows is a list", lambda: band.factor([1.0], 0)),
         (r"rows is an array of float64, shape \(4,\)", lambda: band.factor(np.zeros(4), 0)),
         ("rows has rows of 5 numbers", lambda: band.factor(np.zeros((4, 3, 5)), 0)),
@@ -222,9 +222,9 @@ def test_arguments_that_do_not_fit_are_refused_by_name() -> None:
         ("masses is an array", lambda: band.assemble_diagonal(rows, places, masses[:2], single)),
         ("blocks is an array", lambda: band.assemble_diagonal(rows, places, masses, single.T.copy())),
         ("places has block row 7", lambda: band.assemble_diagonal(rows, places + 4, masses, single)),
-        ("lower has 2 blocks", lambda: band.join(rows, band.rows(4, 2), 3, 3, band.rows(1, 0))),
-        ("middle has 3 block rows", lambda: band.join(rows, rows, 1, 1, band.rows(3, 2))),
-        ("inner_lower is 2 of 4", lambda: band.join(rows, rows, 3, 2, band.rows(1, 0))),
+        ("lower has 2 blocks", lambda: band.join(rows, band.zeros(4, 2), 3, 3, band.zeros(1, 0))),
+        ("middle has 3 block rows", lambda: band.join(rows, rows, 1, 1, band.zeros(3, 2))),
+        ("inner_lower is 2 of 4", lambda: band.join(rows, rows, 3, 2, band.zeros(1, 0))),
         ("count is -2", lambda: band.cuthill_mckee(-2, pairs)),
         ("pairs have particle 2: there are 2", lambda: band.cuthill_mckee(2, pairs)),
         ("pairs is an array", lambda: band.cuthill_mckee(2, places)),

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from support.ros_client import Client
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.ros.io.parameters import describe
+from cloth_sim_ros.ros.io.parameters import parameter_descriptor
 from cloth_sim_ros.scene.parameters.declare import Parameter, ParameterError
 
 DECLARED = {entry.name: entry for entry in Scene.declared(["table"])}
@@ -42,7 +42,7 @@ def node() -> Iterator[Node]:
 
 def ends(entry: Parameter) -> tuple[Any, Any]:
     """The ends of a descriptor's range."""
-    descriptor = describe(entry)
+    descriptor = parameter_descriptor(entry)
     (limits,) = descriptor.floating_point_range if entry.kind == "double" else descriptor.integer_range
     return limits.from_value, limits.to_value
 
@@ -59,7 +59,7 @@ def is_accepted(entry: Parameter, value: Any) -> bool:
 def declare(node: Node, entry: Parameter, value: Any) -> Any:
     """Declare a new parameter with another's descriptor, whose range rclpy checks, and return its value."""
     name = f"p{next(NUMBERS)}"
-    return node.declare_parameter(name, value, describe(entry)).value
+    return node.declare_parameter(name, value, parameter_descriptor(entry)).value
 
 
 @pytest.mark.parametrize("name", [name for name in RANGED if not name.startswith("table.")])
@@ -91,7 +91,7 @@ def test_values_just_outside_a_range_are_refused(node: Node, name: str) -> None:
 @pytest.mark.parametrize("name", ARRAYS)
 def test_array_bounds_of_descriptor_match_the_check(name: str) -> None:
     entry = DECLARED[name]
-    said = describe(entry).additional_constraints
+    said = parameter_descriptor(entry).additional_constraints
     if entry.min is None:
         assert entry.constraint in said
         return
@@ -108,7 +108,7 @@ def test_array_bounds_of_descriptor_match_the_check(name: str) -> None:
 
 
 def test_limits_without_range_are_in_constraints() -> None:
-    said = {name: describe(entry).additional_constraints for name, entry in DECLARED.items()}
+    said = {name: parameter_descriptor(entry).additional_constraints for name, entry in DECLARED.items()}
     assert "0.0, or at least 1e-12" in said["tolerance"]
     assert "at most 4000000 particles" in said["cloth.resolution"]
     assert "above 0.0" in said["material.stretch_modulus"]

@@ -244,7 +244,7 @@ def test_process_that_died_before_a_start_starts_nothing(client: Client, values:
         for _ in range(3):
             ensemble.before_frame()
             frame = cloth.simulation.advance()
-            labels.append(ensemble.labels(frame))
+            labels.append(ensemble.record_extras(frame))
             ensemble.add(frame, cloth.now)
     assert labels == [{}, {}, {}]
 

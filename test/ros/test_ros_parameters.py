@@ -17,7 +17,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.ros.io.parameters import UnknownParametersError, declare, describe
+from cloth_sim_ros.ros.io.parameters import UnknownParametersError, declare, parameter_descriptor
 from cloth_sim_ros.scene.parameters import parameter_file
 
 DECLARED = {entry.name: entry for entry in Scene.declared()}
@@ -33,7 +33,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 @pytest.mark.parametrize("name", DECLARED)
 def test_descriptor(name: str) -> None:
-    entry, descriptor = DECLARED[name], describe(DECLARED[name])
+    entry, descriptor = DECLARED[name], parameter_descriptor(DECLARED[name])
     assert descriptor.name == name
     assert len(descriptor.description) > 10
     assert descriptor.type != ParameterType.PARAMETER_NOT_SET

@@ -75,9 +75,9 @@ class BandMatrix:
         self._selected = [self._split(ends) for ends in self._pairs]
         # The upper part alone assembles the diagonal of the shared rows.
         self._diagonal_maps = (self._maps[0], np.where(self._maps[1] < self._lower, self._maps[1], -1))
-        upper, lower = (band.rows(n_part_rows + self._shared, self.width) for n_part_rows in (self._upper, self._lower))
+        upper, lower = (band.zeros(n_rows + self._shared, self.width) for n_rows in (self._upper, self._lower))
         self._rows = upper, lower
-        self._shared_rows = band.rows(self._shared, max(self._shared - 1, 0))
+        self._shared_rows = band.zeros(self._shared, max(self._shared - 1, 0))
         self._is_prepared = True
 
     def _split(self, pairs: _Index) -> tuple[_Index, _Index]:

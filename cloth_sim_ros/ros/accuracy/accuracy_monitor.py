@@ -27,7 +27,7 @@ _WINDOW_LENGTH = 1.0
 
 @attrs.frozen(eq=False)
 class _WindowJob:
-    """Job of the worker process: scene, start state, events and end state of one window of simulated time."""
+    """Job of the worker process: scene, start state, events of each frame and end state of one simulated window."""
 
     scene: Scene
     start: State
@@ -36,7 +36,7 @@ class _WindowJob:
 
 
 class AccuracyMonitor:
-    """Monitor of a live cloth's true error: a worker process integrates windows of 1 s again with finer steps."""
+    """Monitor of a live cloth's true error: its worker process integrates windows of 1 s again with finer steps."""
 
     def __init__(self) -> None:
         self._scene: Scene | None = None
@@ -56,13 +56,13 @@ class AccuracyMonitor:
         )
 
     def before_frame(self, simulation: Simulation) -> None:
-        """Copy the state as the start of a new window if no window is open."""
+        """Copy the cloth's state as the start of a new window, unless one is open or the worker has ended."""
         if self._start is None and not self._ended:
             self._scene, self._start = simulation.scene, simulation.state.shallow_copy()
             self._events, self._n_moved = [], 0
 
     def after_frame(self, simulation: Simulation, frame: Frame) -> None:
-        """Add the frame's events to the open window; send it to the worker process once it spans 1 s of motion."""
+        """Add a frame's events to the open window; queue it for the worker at 1 s of motion; replace an unsent one."""
         if self._start is None or self._scene is None or not (frame.moved or frame.events):
             return
         self._events.append(frame.events)
@@ -104,18 +104,18 @@ class AccuracyMonitor:
         return warnings
 
     def close(self) -> None:
-        """End the worker process that measures the error."""
+        """Kill the worker process that measures the error, and wait at most 1 s for its end."""
         self._process.close()
 
     def _encode(self, job: _WindowJob) -> tuple[Any, ...]:
-        """Return what is pickled for the worker: values and files of a changed scene, start, events, and end digest."""
+        """Return what is pickled for the worker: scene values and files (None if known), start, events, end digest."""
         new = job.scene is not self._sent_scene
         self._sent_scene = job.scene
         values, files = (job.scene.parameters(), dict(job.scene.files)) if new else (None, None)
         return values, files, job.start, job.events, job.end.digest()
 
     def _receive(self, verdict: dict[str, Any]) -> bool:
-        """Store and count the worker's verdict on a window; return true, because the worker is ready for the next."""
+        """Store and count a window's verdict, or its failure, from the worker; return true: the worker is ready."""
         if "trouble" in verdict:
             self._warnings.put(f"the accuracy of a window is not known: {verdict['trouble']}")
             return True

@@ -29,7 +29,7 @@ class AccuracySwitch:
         self._monitor: AccuracyMonitor | None = None
 
     def update(self) -> None:
-        """Start or end the accuracy monitor as `diagnostics.accuracy` requests, and log its warnings."""
+        """Start or end the monitor as `diagnostics.accuracy` requests; log its warnings. Call it periodically."""
         enabled, monitor = self._simulation.scene.diagnostics.accuracy, self._monitor
         if enabled and monitor is None:
             from cloth_sim_ros.ros.accuracy.accuracy_monitor import AccuracyMonitor
@@ -56,7 +56,7 @@ class AccuracySwitch:
         return {"accuracy": "off"} if self._monitor is None else self._monitor.describe(self._simulation.time)
 
     def close(self) -> None:
-        """End the accuracy monitor if it runs."""
+        """Kill the accuracy monitor's process if it runs; `update` starts another while the parameter is true."""
         if self._monitor is not None:
             self._monitor.close()
             self._monitor = None

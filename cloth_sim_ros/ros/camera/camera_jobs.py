@@ -17,7 +17,7 @@ from cloth_sim_ros.scene.camera_section import CameraParameters
 
 @attrs.frozen(eq=False)
 class CameraTopics:
-    """Optical frame of one camera; names after remapping and QoS profiles of its topics, by their relative name."""
+    """Optical frame of one camera; by the names of its topics below the camera's: remapped full names, QoS policies."""
 
     frame_id: str
     names: dict[str, str]

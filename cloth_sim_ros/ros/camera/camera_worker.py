@@ -102,14 +102,14 @@ class CameraOutput:
         return any(map(self._has_subscribers, _TYPES))
 
     def update_labels(self, labels: dict[str, int]) -> None:
-        """Publish the name of each label as JSON, if they changed. The topic is latched."""
+        """Publish labels as latched JSON, {label: name}, if they differ from the last ones."""
         if labels != self._labels:
             self._labels = labels
             names = {str(label): name for name, label in labels.items()}
             self._publishers[LABEL_NAMES].publish(String(data=json.dumps(names)))
 
     def send(self, frame: CameraFrame, bodies: Bodies) -> None:
-        """Render a frame and publish it on the topics with subscribers; nothing if the camera's pose is unknown."""
+        """Render a frame and publish it on topics with subscribers; warn and send nothing without TF after 0.1 s."""
         pose = self._pose(frame)
         if pose is None:
             return
@@ -124,14 +124,14 @@ class CameraOutput:
         self._publish(LABELS, lambda: self._label.serialize(labels, frame.stamp))
         self._publish(POINTS, lambda: self._cloud.serialize(self._camera.points(depths), frame.stamp))
 
-    def listen(self) -> None:
+    def subscribe_to_tf(self) -> None:
         """Subscribe to TF if the camera follows a TF frame, so that the first image finds its transform."""
         if self._parameters.frame:
             with contextlib.suppress(FrameError):
                 self._transformer.newest(self._parameters.frame)
 
     def _pose(self, frame: CameraFrame) -> tuple[float, ...] | None:
-        """Return the camera's position [m] and orientation in the cloth's frame; None if TF does not know it."""
+        """Return position [m] and orientation x, y, z, w in the cloth's frame (7,); warn and return None without TF."""
         followed = self._parameters.frame
         if not followed:
             return frame.poses[self.name]
@@ -153,7 +153,7 @@ class CameraOutput:
         return (*position, *orientation)
 
     def _followed_pose(self, followed: str, stamp: int) -> Pose:
-        """Return position [m] and orientation of a TF frame at a ROS time [ns], by waiting for its transform.
+        """Wait at most 0.1 s for a TF frame's transform at a ROS time [ns]; return position [m] and orientation.
 
         Raises:
             FrameError: if no transform of that time connects the frames, and none at most 0.1 s older.
@@ -171,13 +171,13 @@ class CameraOutput:
         return bool(self._publishers[leaf].get_subscription_count())
 
     def _publish(self, leaf: str, serialize: Callable[[], bytes]) -> None:
-        """Serialize and publish a message on one of the camera's topics, if that has subscribers."""
+        """Publish the bytes that `serialize` returns on one of the camera's topics, if that has subscribers."""
         if self._has_subscribers(leaf):
             self._publishers[leaf].publish(serialize())
 
 
 class CameraWorker:
-    """Node of the camera process, which renders and publishes the depth cameras of one cloth.
+    """Node of the camera process, with rclpy's start and end: renders and publishes the depth cameras of one cloth.
 
     Args:
         setup: set-up of the process.
@@ -202,7 +202,7 @@ class CameraWorker:
         transformer = FrameTransformer(self._node, setup.frame_id)
         self._cameras = [CameraOutput(self._node, name, setup, transformer, answer) for name in setup.cameras]
         for camera in self._cameras:
-            camera.listen()
+            camera.subscribe_to_tf()
         self._executor = SingleThreadedExecutor()
         self._tf_thread = threading.Thread(target=self._executor.spin, name="tf", daemon=True)
         if any(camera.frame for camera in setup.cameras.values()):
@@ -212,7 +212,7 @@ class CameraWorker:
         self._bodies: tuple[Obstacle, ...] = ()
 
     def close(self) -> None:
-        """Leave the ROS graph: end the executor, and destroy the node."""
+        """Leave the ROS graph: end the executor, destroy the node, and shut rclpy down."""
         self._executor.shutdown(timeout_sec=_POLL_PERIOD)
         # rclpy may crash if a node is destroyed while a thread waits for its subscriptions.
         if self._tf_thread.is_alive():
@@ -228,7 +228,7 @@ class CameraWorker:
             self._answer({"subscribed": subscribed})
 
     def send(self, frame: CameraFrame) -> None:
-        """Render and publish one frame with the cameras that are due, and answer when done."""
+        """Render and publish a frame for its due cameras; then send the parent process the answer `done`."""
         start_time = time.perf_counter()
         if frame.bodies is not None:
             self._bodies = frame.bodies
@@ -244,7 +244,7 @@ class CameraWorker:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the camera process: render frames until the input ends; return the exit status."""
+    """Run the camera process: render frames from standard input until that or the parent process ends; return 0."""
     os.nice(_NICENESS)
     parent, stream = int(arguments[0]), sys.stdin.buffer
     # A supervisor may send signals to the node and its processes at once. The node then closes the input.

@@ -64,7 +64,7 @@ class Cameras:
         self._n_skipped = 0
 
     def start(self) -> None:
-        """Start the camera process, and send it the cameras and the cloth's triangles."""
+        """Start the camera process, without waiting for it, and send it the cameras and the cloth's triangles."""
         if not len(self._setup.triangles):
             self._log.warn("cameras", "cameras do not see this cloth: it has no triangles")
         self._process = WorkerProcess(
@@ -78,7 +78,7 @@ class Cameras:
         self._process.put(self._setup)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Send a frame that was due at a ROS time [ns] to the camera process, if a camera with subscribers is due."""
+        """Queue a frame due at a ROS time [ns] for the process if a subscribed camera is due; replace an unsent one."""
         subscribed, scene = self._subscribed, self._simulation.scene
         if not subscribed or self._process is None:
             return
@@ -107,7 +107,7 @@ class Cameras:
             self._n_skipped += len(replaced.cameras)
 
     def report(self) -> None:
-        """Log the warnings and notices that the camera process sent."""
+        """Log the warnings and notices that the camera process has sent since the last call. Call it periodically."""
         while not self._reports.empty():
             is_warning, camera, text = self._reports.get_nowait()
             log = self._log.warn if is_warning else self._log.info
@@ -123,13 +123,13 @@ class Cameras:
         }
 
     def close(self) -> None:
-        """End the camera process."""
+        """End the camera process, and wait at most 2 s for its end."""
         if self._process is not None:
             self._process.close()
             self._process = None
 
     def _encode(self, job: CameraSetup | CameraFrame) -> CameraSetup | CameraFrame:
-        """Return a job without the bodies that the process already has, because meshes are large."""
+        """Return a job without bodies that the process has already (meshes are large); remember its bodies as sent."""
         if isinstance(job, CameraSetup) or job.bodies is None:
             return job
         sent, self._sent_bodies = self._sent_bodies, job.bodies
@@ -180,7 +180,7 @@ def _declare(node: Node, topic: str, profile: QoSProfile) -> None:
 
 
 def _has_image(frame: Frame, images_per_frame: float) -> bool:
-    """Return true if an image is due in a frame at a rate of images per frame, by the frame's number alone."""
+    """Return true if an image is due: in each paused frame, else by frame index and rate of images per frame."""
     if not frame.moved:
         return True
     return math.floor(frame.index * images_per_frame) > math.floor((frame.index - 1) * images_per_frame)

@@ -30,7 +30,7 @@ class ImageMessage:
         self._start = _after_stamp(message)[:-_COUNT]
 
     def serialize(self, pixels: NDArray[Any], stamp: int) -> bytes:
-        """Return the CDR bytes of the Image for pixels (height, width) at a ROS time [ns]."""
+        """Return the CDR bytes of the Image for contiguous pixels (height, width) at a ROS time [ns]."""
         return _joined(stamp, self._start, pixels, bytes(-pixels.nbytes % 4))
 
 
@@ -79,7 +79,7 @@ class CameraInfoMessage:
 
 
 def millimetres(depths: NDArray[np.float32]) -> NDArray[np.uint16]:
-    """Convert depths [m], at most 65.535, to whole millimetres; NaN, which is no depth, becomes 0."""
+    """Convert depths [m], at most 65.535, to uint16 in millimetres; NaN, which is no depth, becomes 0."""
     return np.nan_to_num(np.rint(depths * np.float32(1000.0)), copy=False, nan=0.0).astype(np.uint16)
 
 

@@ -41,7 +41,7 @@ _TRIAL_TIME, _TRIAL_TIMEOUT = 1.0, 5.0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run `cloth_sim --check FILE`: print the cloth of a parameter file, or why the node would refuse it.
+    """Run `cloth_sim --check FILE`: print its cloth, or why the node would refuse it; return the exit status.
 
     Returns:
         Exit status: 0; 1 if the node would refuse the file; 130 if a signal ended the command.
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def check(path: str, *, node: str) -> int:
-    """Print cloth, warnings, expected speed and step limit of a parameter file, as a node named `node` reads it.
+    """Print cloth, warnings, speed and step limit of a parameter file; return 0, or 1 if the node would refuse it.
 
     Returns:
         Exit status: 0; 1 if the node would refuse the file, with the node's message.
@@ -111,7 +111,7 @@ def check(path: str, *, node: str) -> int:
 
 
 def _scene(values: dict[str, Any]) -> Scene:
-    """Build the scene of parameters; links of a robot become obstacles if `robot.description_file` is set.
+    """Build the scene of parameters, with a robot's links as obstacles if `robot.description_file` is set; print notes.
 
     Raises:
         ParameterError: for invalid parameters, or an invalid description.
@@ -195,7 +195,7 @@ def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
 
 
 def _print_trial(simulation: Simulation) -> None:
-    """Simulate the first second, for at most 5 s of wall time; print integrator, frame times and real-time factor."""
+    """Advance a simulation by 1 s, for at most 5 s of wall time; print integrator, frame times and real-time factor."""
     period = simulation.scene.period
     frame_times: list[float] = []
     advances: list[Advance] = []

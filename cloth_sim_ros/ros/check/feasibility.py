@@ -21,7 +21,7 @@ MAX_STEPS = 100_000
 
 
 def check_feasibility(scene: Scene, simulation: Simulation) -> None:
-    """Refuse a scene if its fixed step or stability limit needs too many steps in a frame for a live node.
+    """Raise ParameterError if a scene's fixed step or stability limit needs too many steps in a frame for a live node.
 
     Args:
         scene: the scene to check.

@@ -24,7 +24,7 @@ _LONGEST_CAMERA_LEAF = f"/{qos_rules.DEPTH}"
 
 
 def refuse_values(values: Mapping[str, Any]) -> None:
-    """Refuse invalid parameter values before a scene is built from them; one error names all faults.
+    """Raise one ParameterError that names all invalid values of parameters, before a scene is built from them.
 
     Raises:
         ParameterError: names each fault.
@@ -52,7 +52,7 @@ def empty_lists(empty: Iterable[str], values: Iterable[str]) -> Iterator[str]:
 def check_values(
     values: Mapping[str, Any], refused: Faults, empty: Collection[str] = (), convert: Callable[[Any], Any] | None = None
 ) -> dict[str, Any]:
-    """Check the scene's parameters among `values`: return them converted by name, and add faults to `refused`.
+    """Return the scene's parameters among `values`, converted, by name; add faults to `refused` instead of raising.
 
     Args:
         values: parameters by full name.
@@ -75,7 +75,7 @@ def check_values(
 
 
 def refuse_scene(scene: Scene, *, node: str) -> None:
-    """Refuse a scene with names that are too long for topics, or a recording folder that can't be written.
+    """Raise ParameterError for a scene with names too long for topics, or a recording folder that can't be written.
 
     Raises:
         ParameterError: names the parameter or the folder.
@@ -98,7 +98,7 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
 
 
 def _refuse_folder(folder: Path) -> None:
-    """Refuse a recording folder that can't be created or written, without creating it."""
+    """Raise ParameterError if a recording folder can't be created or written; create nothing."""
     try:
         existing = next(candidate for candidate in (folder, *folder.absolute().parents) if candidate.exists())
     except (OSError, ValueError) as error:

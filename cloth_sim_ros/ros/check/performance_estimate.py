@@ -40,7 +40,7 @@ class PerformanceEstimate:
 
 
 def estimate_performance(*, period: float, step: float, particles: int, cost: float) -> PerformanceEstimate:
-    """Return the expected cost of a frame with the longest step; accuracy may require smaller steps.
+    """Return steps, wall time [s] and real-time factor of a frame at its longest step; accuracy may need smaller ones.
 
     Args:
         period: simulated time of a frame [s].
@@ -70,7 +70,7 @@ def real_time_resolution(shape: tuple[int, int], factor: float, *, fixed_step: b
 
 
 def measure_step_cost(scene: Scene) -> float | None:
-    """Measure the wall time of a step for one particle [s] with two frames of a temporary cloth.
+    """Measure the wall time of a step for one particle [s] in two frames of a temporary cloth; None if unstable.
 
     Returns:
         The wall time, or None if the motion is unstable or takes no steps.
@@ -93,7 +93,7 @@ def measure_step_cost(scene: Scene) -> float | None:
 
 
 class PerformanceEstimator:
-    """Log of the expected real-time factor, at the start and after changes of the cloth.
+    """Estimator that logs the expected real-time factor, at the start and after changes of the cloth.
 
     Args:
         simulation: the cloth.
@@ -114,7 +114,7 @@ class PerformanceEstimator:
             self._cost_ratio = cost / self._cost
 
     def report(self) -> None:
-        """Log the expected real-time factor if it changed by over 20 % or crossed 1; below 1 with a remedy."""
+        """Estimate the real-time factor; log it if it changed by over 20 % or crossed 1, below 1 with a remedy."""
         self.latest = self._estimate()
         if self.latest is None:
             return
@@ -142,7 +142,7 @@ class PerformanceEstimator:
             self._logger.warning(f"{text}. Real time is not held{when}: {self._remedy(factor)}")
 
     def describe(self) -> dict[str, str]:
-        """Return the newest expected real-time factor as a diagnostics entry."""
+        """Return the real-time factor that `report` estimated last as a diagnostics entry, or `unknown`."""
         return {"real_time_factor_expected": "unknown" if self.latest is None else f"{self.latest.factor:.4g}"}
 
     def _estimate(self) -> PerformanceEstimate | None:
@@ -157,7 +157,7 @@ class PerformanceEstimator:
         )
 
     def _contact_factors(self, factor: float) -> dict[str, float]:
-        """Return the expected real-time factors in contact, by a text that names the condition.
+        """Return the expected real-time factors in contact, by the condition as text; empty with a fixed step.
 
         A fixed step has none: it stays as it is, and the cost model includes contact.
         """
@@ -173,7 +173,7 @@ class PerformanceEstimator:
 
     @property
     def _cost(self) -> float:
-        """Wall time of a step for one particle by the cost model, with the present contact [s]."""
+        """Wall time of a step for one particle [s] by the cost model with present contact, computed at each access."""
         simulation, state = self._simulation, self._simulation.state
         contact_cost = simulation.plan.contact_cost(simulation.time, simulation.scene.period, state)
         spring_cost = simulation.plan.multirate_step_cost(int(MultirateState.load(state).ratio))

@@ -105,12 +105,12 @@ def _step_limits(plan: Plan, x: Array) -> Array:
 
 
 def _largest_eigenvalues(blocks: Array) -> Array:
-    """Return the largest eigenvalue of each symmetric 3x3 block, from blocks (6, n); shape (n,)."""
+    """Return the largest eigenvalue of each symmetric block (6, n: xx, yy, zz, xy, xz, yz), shape (n,)."""
     return np.asarray(np.linalg.eigvalsh(blocks[_BLOCK].transpose(2, 0, 1))[:, -1])
 
 
 def _stiffest_force(model: Model, x: Array, particle: int) -> tuple[str, float]:
-    """Return the name of the force with the largest share of a particle's stiffness, and the share."""
+    """Return the force with the largest share of a particle's stiffness, by name, and the share; ("", 0.0) for none."""
     stiffness: dict[str, float] = {}
     for force in model.forces:
         if not isinstance(force, Gravity | Drag | Wind | Grips):
@@ -143,7 +143,7 @@ def _describe_elements(sheet: MeshSheet, particles: tuple[int, ...]) -> list[str
 
 
 def _heights(sheet: MeshSheet) -> Array:
-    """Return the smallest height of each triangle [m], shape (m,)."""
+    """Return the smallest height of each triangle of a mesh at its rest positions [m], shape (m,)."""
     corners = [sheet.rest_positions[sheet.surface.triangles[:, k]] for k in range(3)]
     longest = np.max([_norms(corners[k] - corners[k - 1]) for k in range(3)], axis=0)
     return np.asarray(2.0 * sheet.areas() / longest)

@@ -23,7 +23,7 @@ _Messages = list[tuple[int, bytes]]
 
 
 def bag_scripts(path: Path, *, gripper: str | None = None, topic: str | None = None) -> list[GripperScript]:
-    """Read the poses and grasps of a bag's grippers as scripts, which start together at the first pose.
+    """Read poses and grasps in a bag as scripts, one for each gripper; time 0 is the earliest pose of all.
 
     The poses of a gripper are on `<gripper>/target`, or on `<gripper>/pose`, and its grasps (Bool) on
     `<gripper>/grasp`. Without grasps it is closed from its first pose on. Sessions have these topics too.
@@ -49,7 +49,7 @@ def bag_scripts(path: Path, *, gripper: str | None = None, topic: str | None = N
 
 
 def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, _Messages]]:
-    """Return the messages of a bag's topics of poses (PoseStamped), and of grasps (Bool), by topic."""
+    """Return the (log time [ns], bytes) lists of pose topics (PoseStamped), and of grasp topics (Bool), by topic."""
     from cloth_sim_ros.session.bag import bag_files, bag_messages
 
     by_kind: dict[str, dict[str, _Messages]] = {_POSE: {}, _BOOL: {}}
@@ -61,7 +61,7 @@ def _read_messages(path: Path) -> tuple[dict[str, _Messages], dict[str, _Message
 
 
 def _select_topics(poses: Mapping[str, _Messages], gripper: str | None, topic: str | None) -> dict[str, str]:
-    """Return by gripper the topic of its poses; refuse a choice that is empty or ambiguous."""
+    """Return {gripper: topic of its poses}; ScriptError if the choice is empty or ambiguous."""
     if topic is not None:
         if topic not in poses:
             raise ScriptError(f"there is no topic '{topic}' of poses (PoseStamped); there are {_listed(poses)}")

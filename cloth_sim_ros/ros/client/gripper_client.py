@@ -30,7 +30,7 @@ _DELIVERY_TIMEOUT = Duration(seconds=0.5)
 
 @attrs.frozen
 class GraspReport:
-    """Result of one closing of a gripper: number of particles held, and the node's message."""
+    """Result of one closing of a gripper: number of particles held (None if unknown), and the node's message."""
 
     #: Number of particles held; None if the node did not answer.
     held: int | None
@@ -39,7 +39,7 @@ class GraspReport:
 
 
 def describe_holds(holds: Sequence[GraspReport]) -> str:
-    """Return the results of a script's closings as text, in order."""
+    """Return the results of a script's closings as one text, in order."""
     if not holds:
         return "the script closes nothing"
     return "; ".join(_describe_report(hold) for hold in holds)
@@ -109,13 +109,13 @@ class GripperClient:
 
         Until the result of the last closing is known, the gripper stays at its position.
         """
-        return elapsed if self._is_answered(now) else min(elapsed, self._hold_until)
+        return elapsed if self._collect_answer(now) else min(elapsed, self._hold_until)
 
     def send_commands(self, elapsed: float, now: float) -> None:
         """Publish the target at a script time [s], and the due grasps; a grasp waits for the previous result."""
         self._send_target(min(elapsed, self.script.duration))
         # The result of the last grasp must be known before the gripper opens again.
-        while self.pending and self.pending[0].time <= elapsed and self._is_answered(now):
+        while self.pending and self.pending[0].time <= elapsed and self._collect_answer(now):
             grasp = self.pending.pop(0)
             self._status = None
             self._grasps.publish(Bool(data=grasp.closed))
@@ -124,15 +124,15 @@ class GripperClient:
                 self._hold_until = max(elapsed, self.script.rest_end(grasp.time))
 
     def has_played(self, elapsed: float, now: float) -> bool:
-        """Return true if the script has ended and the result of its last grasp is known."""
-        return elapsed > self.script.duration and not self.pending and self._is_answered(now)
+        """Return true if the script has ended and its last result is known or overdue; append its report then."""
+        return elapsed > self.script.duration and not self.pending and self._collect_answer(now)
 
     def finish(self) -> None:
         """Wait at most 0.5 s until the node has received the last grasp."""
         self._grasps.wait_for_all_acked(_DELIVERY_TIMEOUT)
 
-    def _is_answered(self, now: float) -> bool:
-        """Return true if the result of the last closing is known or overdue, and append its report."""
+    def _collect_answer(self, now: float) -> bool:
+        """Append the report of the last closing once its result is known or overdue; false while it is pending."""
         if self._answer_deadline is None:
             return True
         status = self._status_if(closed=True)

@@ -88,7 +88,7 @@ class GripperPlayer:
         self._executor.add_node(node)
 
     def wait_for_grippers(self, limit: float) -> bool:
-        """Wait until the cloth's node serves the grippers, and open them; return false if `should_continue` ends it.
+        """Wait for the node to serve the grippers, and open them; GripperError if late, false if interrupted.
 
         Args:
             limit: longest wait [s].
@@ -119,7 +119,7 @@ class GripperPlayer:
         return False
 
     def _open_all(self, end: float) -> bool:
-        """Open the grippers once, and wait until the node reports that they are open.
+        """Open the grippers, and wait until the node says so; GripperError if late, false if interrupted.
 
         Raises:
             GripperError: if no answer comes before the steady time `end` [s].
@@ -139,7 +139,7 @@ class GripperPlayer:
         return False
 
     def play(self, *, standing: float = _MAX_STANDING) -> bool:
-        """Play the scripts in the time of the cloth; return false if `should_continue` ends it.
+        """Play the scripts in the time of the cloth; GripperError if that stands, false if `should_continue` ends it.
 
         A gripper stays at the position of a closing until the result is known. If the result is late, or if this
         process was suspended during a grasp, all scripts are delayed by as much. Otherwise a gripper would close beside

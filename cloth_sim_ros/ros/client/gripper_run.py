@@ -28,7 +28,7 @@ _BAG_ENDINGS = (".mcap", ".db3", ".bag")
 
 
 def run(argv: Sequence[str], signals: StopSignals) -> int:
-    """Run `cloth_gripper`: parse the command line, start rclpy, and play the scripts.
+    """Run `cloth_gripper`: parse the command line, start rclpy, and play the scripts; return the exit status.
 
     Args:
         argv: the command line, the program's name first.
@@ -99,7 +99,7 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
 
 
 def _read_scripts(options: argparse.Namespace) -> list[GripperScript]:
-    """Read the scripts that the command line names, as YAML, CSV, bag or session.
+    """Read the scripts that the command line names, as YAML, CSV, bag or session; ScriptError if it can't be done.
 
     Raises:
         ScriptError: for a file that can't be played, or options that do not fit it.

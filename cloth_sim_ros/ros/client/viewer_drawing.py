@@ -20,7 +20,7 @@ _FINISH_TIMEOUT = 10.0
 
 
 def read_options(argv: Sequence[str]) -> argparse.Namespace:
-    """Parse the options of `cloth_viewer` in a command line; arguments of ROS are left out.
+    """Parse the options of `cloth_viewer` in a command line, without ROS arguments; argparse exits for invalid ones.
 
     Raises:
         SystemExit: raised by argparse.
@@ -33,7 +33,7 @@ def read_options(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def start_drawing(options: argparse.Namespace) -> subprocess.Popen[bytes]:
-    """Start the child process that draws in Rerun; it reads messages from its standard input.
+    """Start the child process that draws in Rerun, and return it; it reads messages from its standard input.
 
     Raises:
         OSError: if its Python cannot be started.
@@ -54,7 +54,7 @@ def start_drawing(options: argparse.Namespace) -> subprocess.Popen[bytes]:
 
 
 def finish_drawing(drawing: subprocess.Popen[bytes]) -> None:
-    """Close the input of the drawing process and wait for its end, at most 10 s; then kill it."""
+    """Close the input of the drawing process, and wait for its end; kill it after 10 s."""
     assert drawing.stdin is not None
     drawing.stdin.close()
     try:

@@ -109,7 +109,7 @@ class ViewerFeed:
             self._log.warning(f"nothing has come on {self._target}/topology for {_SILENCE:g} s{listed}")
 
     def _request(self, names: Sequence[str], receive: Callable[[dict[str, Any]], object]) -> None:
-        """Request parameters of the node; pass them to `receive`, unless a newer topology came meanwhile."""
+        """Request parameters of the node; later pass them to `receive`, unless a newer topology has come meanwhile."""
         topology_count, self._requested = self._n_topologies, {*names}
 
         def done(future: Any) -> None:

@@ -25,7 +25,7 @@ _POLL = 0.1
 
 
 def run(argv: Sequence[str], target: str, drawing: subprocess.Popen[bytes], signals: StopSignals) -> int:
-    """Forward a node's messages to the drawing process until that process ends or a signal comes.
+    """Forward a node's messages to the drawing process until it ends or a signal comes; end it; return the exit status.
 
     Args:
         argv: the command line, the program's name first.
@@ -53,7 +53,7 @@ def run(argv: Sequence[str], target: str, drawing: subprocess.Popen[bytes], sign
 
 
 def _forward(drawing: subprocess.Popen[bytes], target: str, should_continue: Callable[[], bool]) -> None:
-    """Forward the messages of a node until the drawing process ends, or the user ends this one."""
+    """Forward a node's messages to the input of the drawing process while `should_continue` returns true."""
     assert drawing.stdin is not None
     pipe = drawing.stdin.fileno()
     os.set_blocking(pipe, False)

@@ -24,7 +24,7 @@ class EnsembleStart:
 
 @attrs.frozen(eq=False)
 class EnsembleStep:
-    """A frame of the cloth that the ensemble's members compute too."""
+    """Frame of the cloth, by its index and events, that the ensemble's members compute too."""
 
     index: int
     #: ROS time at which it was due [ns].

@@ -75,7 +75,7 @@ class EnsembleTopic:
         self._ends: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def start(self) -> None:
-        """Start the ensemble process."""
+        """Start the ensemble process without waiting for it."""
         self._process = WorkerProcess(
             _WORKER_MODULE, name="ensemble", encode=self._encode, on_answer=self._receive, on_end=self._end
         )
@@ -86,13 +86,13 @@ class EnsembleTopic:
         if self._must_start and self._is_alive and simulation.frame >= self._next_start:
             self._before = simulation.scene, simulation.state.shallow_copy()
 
-    def labels(self, frame: Frame) -> dict[str, Any]:
-        """Return the entry of a frame's record if the members start with this frame; otherwise an empty dict."""
+    def record_extras(self, frame: Frame) -> dict[str, Any]:
+        """Return {'ensemble': 'start'} for a frame's record if the members start with this frame; otherwise {}."""
         starts = self._before is not None and self._is_alive and _has_effect(frame)
         return {"ensemble": "start"} if starts else {}
 
     def add(self, frame: Frame, stamp: int) -> None:
-        """Queue a frame that was due at a ROS time [ns] for the ensemble process."""
+        """Queue a frame due at a ROS time [ns] for the process; restart the ensemble if over 60 s of frames wait."""
         if self._process is None or not _has_effect(frame) or not self._is_alive:
             return
         start, self._before, self._newest = self._before, None, frame.index
@@ -131,7 +131,7 @@ class EnsembleTopic:
                 self._warn_of_lag((stamp - answer["stamp"]) / 1e9, answer["members"])
 
     def report(self) -> None:
-        """Log a warning if the ensemble process has ended."""
+        """Log a warning if the ensemble process has ended. Call it periodically."""
         while not self._ends.empty():
             self._log.warn(
                 "ensemble", f"~/ensemble ends: its process {self._ends.get_nowait()}; the cloth goes on. Restart "
@@ -158,7 +158,7 @@ class EnsembleTopic:
         return values
 
     def close(self) -> None:
-        """End the ensemble process."""
+        """Kill the ensemble process, and wait at most 1 s for its end."""
         if self._process is not None:
             self._process.close()
             self._process = None

@@ -37,13 +37,13 @@ _POLL_SECONDS = 0.25
 
 
 class EnsembleWorker:
-    """Ensemble of one node, as the ensemble process runs it."""
+    """Ensemble of one node in the ensemble process; `advance` creates it at the first frame with a start."""
 
     def __init__(self) -> None:
         self._ensemble: Ensemble | None = None
 
     def advance(self, steps: Sequence[EnsembleStep]) -> dict[str, Any]:
-        """Advance the members by the given frames; answer with the newest cloud or the reason of a failure."""
+        """Advance the members by frames; return the answer to the node, with the newest cloud or the `trouble`."""
         answer: dict[str, Any] = {"steps": len(steps)}
         start_time, frame = time.perf_counter(), None
         for step in steps:
@@ -82,7 +82,7 @@ class EnsembleWorker:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the ensemble process: advance the members until the input ends; return the exit status."""
+    """Run the ensemble process: advance members by frames from standard input, until its or the parent's end."""
     threading.Thread(target=_exit_with_parent, args=(int(arguments[0]),), daemon=True).start()
     os.nice(_NICENESS)
     worker = EnsembleWorker()

@@ -43,7 +43,7 @@ GRASP_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class CommandSubscriptions:
-    """Subscriptions of the command topics of all grippers and obstacles; `subscribe` creates them.
+    """Subscriptions of command topics; `subscribe` creates those of grippers, `subscribe_obstacles` of obstacles.
 
     Args:
         node: the node.
@@ -143,11 +143,11 @@ class CommandSubscriptions:
         self._log.warn(f"misfit {topic}", f"a publisher of {topic} {fault}")
 
     def last_target_time(self, gripper: str) -> int | None:
-        """Return the ROS time at which the newest target or twist of a gripper came [ns]; None before the first."""
+        """Return the ROS time [ns] at which a gripper's newest accepted target or twist came; None before the first."""
         return self._last_target_times.get(gripper)
 
     def is_drained(self) -> bool:
-        """Return true if the executor's last spin delivered no command, or ten spins in a row delivered some.
+        """Return false if commands came since the last call, ten times in a row at most. Call it once after each spin.
 
         If it is false, call it again after one more spin.
         """
@@ -246,7 +246,7 @@ class CommandSubscriptions:
         self._log.debug(functools.partial(_describe_command, event, 0))
 
     def _report_result(self, result: EventResult) -> None:
-        """Log the result of a grasp that came by a topic, unless its pads still move."""
+        """Log the result of a grasp that came by a topic, unless its pads still move, or why it had no effect."""
         grasp = result.grasp
         if grasp is None:
             self._log.warn("grasp lost", f"a grasp did not take effect: {result.reason}")

@@ -43,7 +43,7 @@ class GoalError(ValueError):
 
 @attrs.frozen
 class Command:
-    """Goal of a gripper's action as fraction of its opening, with limits of force [N] and speed."""
+    """Goal of a gripper's action: fraction of its opening, limits of force [N] and speed, and names of its joints."""
 
     #: Position of the joint [rad or m], as a fraction of its way from closed (0) to open (1).
     fraction: float
@@ -139,7 +139,7 @@ class GripperActions:
         self._servers.clear()
 
     def answer(self, frame: Frame) -> None:
-        """After a frame, publish the feedback of goals in progress, and the results of those that ended."""
+        """Publish, after a frame, the feedback of goals in progress, and the results of those that ended."""
         if not self._goals:
             return
         self._wrench_forces = [math.hypot(*wrench[:3]) for wrench in frame.wrenches.tolist()]
@@ -147,12 +147,12 @@ class GripperActions:
             self._advance(goal, frame)
 
     def fail(self, reason: str, _stamp: int) -> None:
-        """Abort all goals in progress, because a frame failed."""
+        """Abort all goals in progress with the reason of a failed frame."""
         for goal in list(self._goals.values()):
             self._end(goal, _ABORTED, f"failed: {reason}")
 
     def expire(self) -> None:
-        """End canceled goals that have waited too long for a frame. Call it periodically."""
+        """End canceled goals that have waited more than 5 s for a frame. Call it periodically."""
         for goal in list(self._goals.values()):
             if time.monotonic() - goal.cancel_time > FRAME_TIMEOUT:
                 self._end(goal, _CANCELED)
@@ -195,7 +195,7 @@ class GripperActions:
         return CancelResponse.REJECT
 
     async def _execute(self, handle: Any) -> Any:
-        """Wait for the end of an accepted goal, and return its result to the action's client."""
+        """Await the end of an accepted goal, set its final status, and return the result message to rclpy."""
         status, result = await self._results.pop(bytes(handle.goal_id.uuid)).done
         if status == _CANCELED and handle.is_cancel_requested:
             handle.canceled()
@@ -206,7 +206,7 @@ class GripperActions:
         return result
 
     def _queue_grasp(self, goal: _Goal) -> None:
-        """Queue the newest grasp event of a goal; abort the goal if the event takes no effect."""
+        """Queue the newest grasp event of a goal; abort the goal if the event is refused, now or later."""
         event = goal.event
 
         def answer(outcome: EventResult) -> None:
@@ -340,7 +340,7 @@ class GripperActions:
 
 
 def joint_range(simulation: Simulation, gripper: str) -> tuple[float, float]:
-    """Return the joint positions of the closed and of the open gripper [rad or m]."""
+    """Return a gripper's joint positions, closed and open [rad or m]; 0 and the opening if `joint_range` is not set."""
     closed, opened = simulation.scene.of_gripper(gripper, "joint_range")
     return (closed, opened) if closed != opened else (0.0, simulation.scene.gripper.opening)
 
@@ -352,7 +352,7 @@ def read_command(
     joints: Sequence[str],
     limits: tuple[float, float],
 ) -> Command:
-    """Convert the fields of a goal to a command, and refuse invalid ones.
+    """Convert positions, efforts and velocities of a goal to a command; GoalError if they are invalid.
 
     Args:
         positions: position of each joint, all equal.

@@ -63,13 +63,13 @@ class CoverageTopic:
         self.output = Output(node, Float64, "~/coverage", sink, qos=NEWEST_QOS)
 
     def send(self, _stamp: int) -> None:
-        """Publish the covered area [m^2], if the topic has subscribers."""
+        """Publish the covered area [m^2], a Float64 without stamp, if the topic has subscribers."""
         if self.output.has_subscribers:
             area = self.coverage.area(self._simulation.state.x, self._pose())
             self.output.publish(bytes(serialize_message(Float64(data=area))))
 
     def _pose(self) -> Array:
-        """Return the present pose of the obstacle with the plane, or the described one if it is not in the scene."""
+        """Return the pose (7,) of the obstacle with the plane: present, or as described if it is not in the scene."""
         name, obstacles = self.coverage.obstacle, self._simulation.obstacles
         if obstacles is not None and name in obstacles.names:
             pose: Array = obstacles.poses()[obstacles.names.index(name)]
@@ -79,7 +79,7 @@ class CoverageTopic:
 
 
 def ground_truth_topics(node: Node, simulation: Simulation, sink: RecordSink) -> list[KeypointTopic | CoverageTopic]:
-    """Create ~/keypoints and ~/coverage, each if the scene asks for it."""
+    """Create the publishers of ~/keypoints and ~/coverage that the scene asks for; return them, perhaps none."""
     topics: list[KeypointTopic | CoverageTopic] = []
     if any(simulation.scene.keypoints):
         topics.append(KeypointTopic(node, simulation, sink))

@@ -75,7 +75,7 @@ class Inputs:
         self.interfaces: SimulationInterfaces | None = None
 
     def start(self) -> None:
-        """Subscribe to the commands of the grippers and to joint states, and create the services and actions."""
+        """Subscribe to commands of grippers and to joint states; create services, and actions if they are set."""
         self.commands.subscribe()
         if self._robot is not None:
             self._robot.subscribe()
@@ -117,7 +117,7 @@ class Inputs:
                 servers.close()
 
     def events(self, stamp: int, now: int) -> list[Event]:
-        """Return the events of a robot's links, of followed TF frames and of commanded velocities for a frame.
+        """Return the events that the node itself adds to a frame: of robot links, followed TF frames and velocities.
 
         Args:
             stamp: ROS time at which the frame is due [ns].
@@ -134,12 +134,12 @@ class Inputs:
             self._robot.observe(frame)
 
     def return_parameters(self, reason: str) -> None:
-        """Set the ROS parameters back to the values in force, because accepted ones could not take effect."""
+        """Log an error, and set the ROS parameters back to values in force: accepted ones could not take effect."""
         self._node.get_logger().error(f"parameters are set back: {reason}")
         self.parameters.return_to(self._simulation.scene)
 
     def limit_times(self, now: int) -> None:
-        """Limit remembered times to the present ROS time [ns], because wall time was set back.
+        """Limit remembered times to the present ROS time [ns], and drop later targets, because wall time was set back.
 
         Timeouts count from there. Targets with later stamps are dropped: they would come after newer ones.
         """

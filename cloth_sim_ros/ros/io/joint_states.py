@@ -44,11 +44,11 @@ class JointStates:
 
     @property
     def missing(self) -> list[str]:
-        """Names of the joints whose position is unknown."""
+        """Names of the joints whose position is unknown, as a new list."""
         return [name for name, known in zip(self.names, self.is_known.tolist(), strict=True) if not known]
 
     def add(self, names: Sequence[str], positions: Sequence[float], stamp: int, now: int) -> bool:
-        """Queue a joint state until the frame of its stamp. Return False if it names none of the joints.
+        """Check a joint state, and queue it until its stamp; return false if it names none of the joints.
 
         Args:
             names: names of joints.
@@ -99,7 +99,7 @@ class JointStates:
         return [name for name, silent in zip(self.names, is_silent.tolist(), strict=True) if silent]
 
     def apply(self, now: int) -> bool:
-        """Apply the queued states that are due at a ROS time [ns] to `positions`. Return True if a position changed."""
+        """Apply the queued states that are due at a ROS time [ns] to `positions`; return true if a position changed."""
         if not self._waiting:
             return False
         ready = sorted((state for state in self._waiting if state[0] <= now), key=lambda state: state[0])

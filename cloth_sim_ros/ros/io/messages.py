@@ -65,7 +65,7 @@ class CloudMessage:
 
 
 def mesh_bytes(triangles: NDArray[np.int64], vertices: Array) -> bytes:
-    """Return the CDR bytes of a shape_msgs/Mesh from the cloth's triangles and rest positions.
+    """Return the CDR bytes of a shape_msgs/Mesh of the cloth's triangles and rest positions [m].
 
     Args:
         triangles: particles of each triangle, shape (m, 3).
@@ -114,7 +114,7 @@ class SurfaceMarker:
 
 
 def wrench_message(wrench: ArrayLike, *, frame_id: str, stamp: int) -> bytes:
-    """Return the CDR bytes of a geometry_msgs/WrenchStamped from force [N] and torque [N m], shape (6,)."""
+    """Return the CDR bytes of a WrenchStamped from force [N] and torque [N m], shape (6,), with a stamp [ns]."""
     fx, fy, fz, tx, ty, tz = np.asarray(wrench, dtype=np.float64).tolist()
     message = WrenchStamped()
     message.header.frame_id = frame_id
@@ -125,7 +125,7 @@ def wrench_message(wrench: ArrayLike, *, frame_id: str, stamp: int) -> bytes:
 
 
 def set_stamp(stamp: object, nanoseconds: int) -> None:
-    """Write a ROS time [ns] into a builtin_interfaces/Time."""
+    """Write a ROS time [ns] into a builtin_interfaces/Time message."""
     stamp.sec, stamp.nanosec = divmod(nanoseconds, SECOND)  # type: ignore[attr-defined]
 
 
@@ -135,5 +135,5 @@ def read_stamp(stamp: object) -> int:
 
 
 def pad_to_multiple(data: bytes, size: int) -> bytes:
-    """Return bytes padded with zeros to a multiple of a size [bytes], as CDR aligns fields."""
+    """Return bytes padded with zeros at their end to a multiple of a size [bytes], as CDR aligns fields."""
     return data + bytes(-len(data) % size)

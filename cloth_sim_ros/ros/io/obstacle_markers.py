@@ -78,7 +78,7 @@ _MAX_MARKERS = 3
 
 
 def _markers(solid: Obstacle) -> list[tuple[Marker, NDArray[np.float64]]]:
-    """Return the markers of an obstacle and their positions in its frame [m], shape (3,)."""
+    """Return the markers of an obstacle, each with its position in the obstacle's frame [m], shape (3,)."""
     origin = np.zeros(3)
     match solid.shape:
         case "plane":
@@ -108,7 +108,7 @@ def _marker(kind: int, x: float, y: float, z: float) -> Marker:
 
 
 def _byte_indices(data: bytes, marks: Sequence[bytes], length: int) -> NDArray[np.int64]:
-    """Return the indices of `length` bytes from each mark on; marks follow one another. Shape (marks, length)."""
+    """Return the indices of `length` bytes from each mark in data on, shape (marks, length); marks come in order."""
     starts, start = [], 0
     for mark in marks:
         start = data.index(mark, start)

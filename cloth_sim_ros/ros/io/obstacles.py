@@ -64,7 +64,7 @@ class ObstacleTopics:
             self._output.record(self._published, stamp)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Publish and record wrenches and moved markers after a frame at a ROS time [ns]; warn of stops and lags."""
+        """Publish and record wrenches and moved markers at a ROS time [ns]; update topics; warn of stops and lags."""
         self._update_stopped(frame)
         self._warn_of_stops(frame)
         obstacles = self._simulation.obstacles
@@ -89,7 +89,7 @@ class ObstacleTopics:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
 
     def log_recovery(self, frame: Frame) -> None:
-        """Log the contacts of reduced thickness after a frame whose events may have reduced them.
+        """Log a reduced contact thickness if a frame's parameters, reset or opened gripper may have caused it.
 
         A warning if parameters were set or the cloth was reset, an information if a gripper opened.
         """

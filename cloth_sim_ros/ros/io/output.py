@@ -82,7 +82,7 @@ class Output:
 
     @property
     def subscription_count(self) -> int:
-        """Number of subscribers."""
+        """Number of matched subscribers, counted at each access."""
         return int(self._publisher.get_subscription_count())
 
     @property
@@ -112,7 +112,7 @@ class Output:
         self.record(data, stamp)
 
     def flush(self) -> None:
-        """Wait at most 0.2 s until reliable subscribers have received the messages."""
+        """Wait at most 0.2 s until reliable subscribers have received all messages."""
         self._publisher.wait_for_all_acked(_FLUSH_TIMEOUT)
 
     def close(self) -> None:
@@ -128,7 +128,7 @@ class Output:
 
 
 def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind: str = PUBLISHER) -> QoSProfile:
-    """Return a topic's quality of service with its overrides applied, as a new profile.
+    """Return a topic's quality of service with the node's overrides applied, as a new profile, or ParameterError.
 
     Overrides are validated here, because rclpy's errors name no parameter.
 

@@ -148,7 +148,7 @@ class Outputs:
         self._last_published: float | None = None
 
     def start(self, stamp: int) -> None:
-        """Publish topology and obstacles at a ROS time [ns], subscribe to obstacles' targets, and start processes."""
+        """Publish topology and obstacles at a ROS time [ns], subscribe to obstacles' targets, start child processes."""
         self.cloth.start(stamp)
         self.obstacles.update_topics(stamp)
         if self.cameras is not None:
@@ -161,12 +161,12 @@ class Outputs:
         if self.ensemble is not None:
             self.ensemble.before_frame()
 
-    def labels(self, frame: Frame) -> dict[str, Any]:
-        """Return the ensemble's entries of a frame's record; empty without an ensemble."""
-        return {} if self.ensemble is None else self.ensemble.labels(frame)
+    def record_extras(self, frame: Frame) -> dict[str, Any]:
+        """Return the ensemble's entries of a frame's record; empty unless the ensemble starts with this frame."""
+        return {} if self.ensemble is None else self.ensemble.record_extras(frame)
 
     def must_publish(self, frame: Frame, now: float) -> bool:
-        """Return true if a frame is to be published at a steady time [s]: it moved, had events, or a second passed."""
+        """Return true if a frame moved, had events, or came 1 s after the last published; store its steady time [s]."""
         is_recent = self._last_published is not None and now - self._last_published < _PAUSED_PERIOD
         if not frame.moved and not frame.events and is_recent:
             return False
@@ -197,13 +197,13 @@ class Outputs:
             self.ensemble.send(stamp)
 
     def report_processes(self) -> None:
-        """Log the messages of the camera and ensemble processes."""
+        """Log the messages of the camera and ensemble processes since the last call. Call it periodically."""
         for part in (self.cameras, self.ensemble):
             if part is not None:
                 part.report()
 
     def close_processes(self) -> None:
-        """End the processes of cameras and ensemble."""
+        """End the processes of cameras and ensemble; wait at most 2 s for each."""
         for part in (self.cameras, self.ensemble):
             if part is not None:
                 part.close()

@@ -37,7 +37,7 @@ _TYPES |= {f"{kind}[]": RosParameter.Type[f"{name}_ARRAY"] for kind, name in _SC
 
 
 class UnknownParametersError(ParameterNotDeclaredException):
-    """Parameters were set that do not exist; the message names similar ones."""
+    """Error: parameters that do not exist were set; the message names similar ones."""
 
     def __init__(self, names: list[str], known: Sequence[str]) -> None:
         super().__init__(names)
@@ -82,7 +82,7 @@ class SceneNode(SimTimeNode):
         self._post_set_parameters_callbacks.clear()
 
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
-        """Declare parameters as rclpy does, but first refuse invalid overrides by one error that names all."""
+        """Declare parameters as rclpy does, but first raise one ParameterError for all invalid overrides, if any."""
         listed = list(parameters)
         overrides = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
         refused = Faults()
@@ -98,7 +98,7 @@ class SceneNode(SimTimeNode):
         return super().declare_parameters(namespace, listed, *arguments, **options)
 
     def set_parameters(self, parameter_list: list[RosParameter]) -> list[SetParametersResult]:
-        """Set parameters one after another, as rclpy's method does, each by `set_parameters_atomically`.
+        """Set parameters one after another by `set_parameters_atomically`, as rclpy does; return the result of each.
 
         Raises:
             UnknownParametersError: names an unknown parameter; those before it stay set.
@@ -106,7 +106,7 @@ class SceneNode(SimTimeNode):
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """Set parameters together or not at all, as rclpy's method does.
+        """Set parameters together or not at all; return the result as rclpy does, with the reason of a refusal.
 
         It differs in three ways. The error names the parameters that do not exist. Setting `<name>.shape` of a new
         obstacle first declares all parameters of that obstacle; the same holds for a parameter of a single gripper. A
@@ -156,7 +156,7 @@ Extension = Callable[[Mapping[str, Any], Mapping[str, bytes]], tuple[dict[str, A
 
 
 def declare(node: Node, *, extend: Extension | None = None) -> Scene:
-    """Declare all parameters of a scene on a node, with the values of its overrides; return the scene.
+    """Declare all parameters of a scene on a node, with the values of its overrides; return the scene; log warnings.
 
     Args:
         node: the node.
@@ -195,10 +195,10 @@ def declare_entry(node: Node, entry: Parameter, value: Any) -> None:
     typed = RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value
     if isinstance(node, SceneNode):
         node.entries[entry.name] = entry
-    node.declare_parameter(entry.name, typed, describe(entry), True)
+    node.declare_parameter(entry.name, typed, parameter_descriptor(entry), True)
 
 
-def describe(entry: Parameter) -> ParameterDescriptor:
+def parameter_descriptor(entry: Parameter) -> ParameterDescriptor:
     """Return the ROS descriptor of a parameter; `additional_constraints` holds the limits that have no field."""
     constraints = []
     descriptor = ParameterDescriptor(

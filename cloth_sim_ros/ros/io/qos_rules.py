@@ -57,7 +57,7 @@ class Override:
 
 
 def topics_of(scene: Scene) -> dict[str, list[str]]:
-    """Return the topics of a scene's node whose quality of service may be overridden, by endpoint kind."""
+    """Return a scene's topics whose quality of service may be overridden, before remapping, by endpoint kind."""
     out = ["~/points", "~/topology", "~/mesh", "~/state", "~/clock", "/diagnostics", "/tf"]
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
@@ -84,7 +84,7 @@ def overridable(scene: Scene) -> Iterator[tuple[str, str, str]]:
 
 
 def read_name(name: str) -> Override | None:
-    """Parse the name of a quality-of-service override; None if it is none or its policy is not overridable."""
+    """Parse the name of a quality-of-service override; return None for another name, or a policy that is fixed."""
     if not name.startswith(QOS_PREFIX):
         return None
     topic, _, end = name.removeprefix(QOS_PREFIX).rpartition(".")
@@ -119,7 +119,7 @@ def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None)
 
 
 def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> dict[str, list[str]]:
-    """Group overrides for topics of other nodes by that node's full name; parameter dumps contain such overrides.
+    """Group names of overrides for other nodes' topics by that node's full name; parameter dumps contain such ones.
 
     Args:
         names: names of overrides that this node does not read.

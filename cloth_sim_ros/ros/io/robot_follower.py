@@ -102,7 +102,7 @@ class RobotFollower:
         self._node.create_subscription(JointState, topic, receive, profile, raw=True, qos_overriding_options=OPTIONS)
 
     def events(self, now: int) -> list[Event]:
-        """Return the event that moves the links in the frame due at a ROS time [ns]; none if they stand."""
+        """Return the event, if any, that moves the links in the frame due at a ROS time [ns]; failures are logged."""
         is_changed = self._states.apply(now)
         self._report_silence(now)
         must_send, self._must_send = self._must_send, False
@@ -141,7 +141,7 @@ class RobotFollower:
         self._resends = self._resends or bool(frame.stopped)
 
     def link_pose(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...], int] | None:
-        """Return position [m], orientation and stamp [ns] of a robot's link by name; None for frames that TF places."""
+        """Return a link's position [m], orientation x, y, z, w and stamp [ns]; None for a frame that TF places."""
         if self._settings.source != JOINT_STATES or name not in self._links.kinematics.placements:
             return None
         if name == self._settings.frame:

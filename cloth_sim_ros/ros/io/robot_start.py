@@ -42,7 +42,7 @@ _MESSAGE_PERIOD, _POLL_PERIOD = 5.0, 0.1
 
 
 class RobotStart:
-    """Wait, at the node's start, for a robot's description and poses; adds its links to a scene as obstacles.
+    """Start of a robot's links, once a node: `extend` waits for description and poses, and adds links as obstacles.
 
     Args:
         node: the node, which is in no executor yet.
@@ -59,7 +59,7 @@ class RobotStart:
         self._description = self._ignored = ""
 
     def extend(self, values: Mapping[str, Any], files: Mapping[str, bytes]) -> tuple[dict[str, Any], dict[str, bytes]]:
-        """Wait for the robot; return a scene's parameters with its links as obstacles, and the contents of files.
+        """Wait, without limit, for the robot; return a scene's parameters with its links as obstacles, and its files.
 
         Raises:
             ParameterError: for an invalid scene or description, naming the remedy.
@@ -110,7 +110,7 @@ class RobotStart:
         return self._description
 
     def _await_poses(self, links: RobotLinks, settings: RobotParameters) -> Array:
-        """Wait until joint states or TF give the poses of all links; return them, shape (count, 7)."""
+        """Wait for the poses of all links; return them, shape (count, 7). After 2 s, missing joints stay near 0."""
         poses: list[Array] = []
         reason = ""
 
@@ -187,7 +187,7 @@ class RobotStart:
             self._node.get_logger().warning(f"a joint state is refused: {error}", throttle_duration_sec=1.0)
 
     def _wait(self, is_done: Callable[[], bool], describe: Callable[[], str]) -> None:
-        """Spin the node until a condition holds; log what is awaited at once and every 5 s.
+        """Spin the node, without limit, until a condition holds; log what is awaited after 0.2 s, then every 5 s.
 
         Raises:
             StopRequestedError: if a signal came meanwhile.
@@ -212,7 +212,7 @@ class RobotStart:
 
 
 def _check_tf(settings: RobotParameters) -> None:
-    """Refuse parameters of a robot that need tf2_ros if it is not installed.
+    """Raise ParameterError if a robot's parameters need tf2_ros and it is not installed.
 
     Raises:
         ParameterError: naming the parameter and the remedy.
@@ -229,7 +229,7 @@ def _check_tf(settings: RobotParameters) -> None:
 
 
 def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, settings: RobotParameters) -> Array:
-    """Return the poses of the links' obstacles in the cloth's frame, by TF or joint positions, shape (count, 7).
+    """Return the poses (count, 7) of the links' obstacles in the cloth's frame, by TF or joints, or FrameError.
 
     Raises:
         FrameError: if TF lacks a frame.
@@ -240,7 +240,7 @@ def link_poses(links: RobotLinks, positions: Array, frames: FrameTransformer, se
 
 
 def mount_of(frames: FrameTransformer, settings: RobotParameters) -> tuple[Array | None, int]:
-    """Return the transform of `robot.frame` in the cloth's frame, shape (4, 4), and its stamp [ns].
+    """Return the transform (4, 4) of `robot.frame` in the cloth's frame and its stamp [ns]; (None, 0) if it is not set.
 
     The transform is None, and the stamp 0, if `robot.frame` is not set.
 

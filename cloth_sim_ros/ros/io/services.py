@@ -81,7 +81,7 @@ class Services:
         return self._clock_pause.user_paused
 
     def expire_requests(self) -> None:
-        """Answer requests that have waited too long for their frame or for pads. Call it periodically."""
+        """Answer requests that waited too long, about 5 s for a frame or 30 s for pads. Call it periodically."""
         now = time.monotonic()
         for start, future in self._pending:
             if now - start > self._frame_timeout and not future.done():
@@ -118,7 +118,7 @@ class Services:
             future.set_result(GraspResult(gripper, True, 0, f"failed: {reason}"))
 
     async def enqueue(self, event: Event, *, pads_result: Future | None = None) -> EventResult:
-        """Queue an event and wait for its frame; return its result, or why it took no effect.
+        """Queue an event and await its frame; return its result, or why it took no effect, without raising.
 
         Args:
             event: the event.

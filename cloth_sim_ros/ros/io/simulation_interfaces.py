@@ -157,7 +157,7 @@ class SimulationInterfaces:
         return answer
 
     def _is_interrupted(self, begun: int, completed: int, steps: int, result: Any) -> bool:
-        """Return true if further steps are no longer requested, and write the reason.
+        """Return true if further steps are no longer requested, and write the reason into `result`.
 
         Args:
             begun: number of requests to pause, resume or reset when the steps began.
@@ -175,7 +175,7 @@ class SimulationInterfaces:
         return True
 
     async def _run(self, event: Event, result: Any) -> bool:
-        """Queue an event and wait for its frame; write the outcome and return true if it took effect."""
+        """Queue an event and await its frame; write the outcome into `result`; return true if it took effect."""
         outcome: EventResult = await self._services.enqueue(event)
         has_succeeded = outcome.frame is not None
         kind = self._messages.Result
@@ -188,5 +188,5 @@ class SimulationInterfaces:
 
 
 def _constant(kind: Any, name: str) -> int:
-    """Return a message type's constant by name; later versions of the package have the prefix STATE_."""
+    """Return a message type's integer constant by name; later versions of the package have the prefix STATE_."""
     return int(getattr(kind, f"STATE_{name}") if hasattr(kind, f"STATE_{name}") else getattr(kind, name))

@@ -26,7 +26,7 @@ class OldStampError(StampError):
 
 
 def to_ros_time(sec: int, nanosec: int) -> int:
-    """Convert a message's stamp to ROS time [ns], and refuse an invalid one.
+    """Convert a message's stamp to ROS time [ns]; NoTimeError for a negative one, or for 10^9 nanoseconds and more.
 
     Raises:
         NoTimeError: if they are no valid time: before 1970, or with a second or more of nanoseconds.
@@ -46,14 +46,14 @@ class StampGate:
     _last_command: int = 0
 
     def accept(self, stamp: int, now: int) -> int:
-        """Check a command's stamp, and return the ROS time at which the command takes effect [ns].
+        """Check a command's stamp [ns], 0 for now; return the ROS time [ns] at which it takes effect, or StampError.
 
         Args:
             stamp: stamp of the command [ns]; zero means now.
             now: present ROS time [ns].
 
         Raises:
-            OldStampError: if the stamp is older than the newest one.
+            OldStampError: if the stamp is older than the newest one, which came less than a second ago.
             StampError: if the stamp is more than a second ahead.
         """
         effective = stamp or now

@@ -59,7 +59,7 @@ class States:
             output.record(data, stamp)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Publish the states that a frame changed, at a ROS time [ns]."""
+        """Publish ~/state if it changed, and states of grippers after a grasp or a reset, at a ROS time [ns]."""
         self._update_state(stamp)
         if not frame.events and not frame.pinches:
             return

@@ -40,7 +40,7 @@ class TfBroadcaster:
         self._was_enabled = False
 
     def send(self, stamp: int) -> None:
-        """Publish the present frames with a ROS time [ns] as stamp, if `tf.publish` is set."""
+        """Publish the present frames with a ROS time [ns] as stamp, if `tf.publish` is set and /tf has consumers."""
         enabled = self._simulation.scene.tf.publish
         if enabled and not self._was_enabled:
             self._open()

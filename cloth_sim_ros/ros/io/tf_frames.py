@@ -60,7 +60,7 @@ class FrameTransformer:
         *,
         max_age: int = MAX_TRANSFORM_AGE,
     ) -> Pose:
-        """Transform a pose into the cloth's frame; return position [m] and orientation (or None).
+        """Transform a pose into the cloth's frame; return position [m] and orientation (or None), or raise FrameError.
 
         Args:
             frame_id: frame of the command; empty means the cloth's.
@@ -92,7 +92,7 @@ class FrameTransformer:
         return tuple(new_position.tolist()), new_orientation
 
     def newest(self, frame_id: str) -> tuple[tuple[float, ...], tuple[float, ...], int]:
-        """Return the newest position [m], orientation x, y, z, w and stamp [ns] of a frame in the cloth's frame.
+        """Return a frame's newest position [m], orientation x, y, z, w and stamp [ns] in the cloth's, or FrameError.
 
         Raises:
             FrameError: if no transform connects the frames.

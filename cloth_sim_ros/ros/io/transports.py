@@ -46,7 +46,7 @@ _SKIP_FILES = ("SKIP_DEFAULT_XML_FILE", "SKIP_DEFAULT_XML")
 
 @contextlib.contextmanager
 def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
-    """Configure Fast DDS so that the process's first ROS node has a shared-memory segment for its clouds.
+    """Context whose environment makes Fast DDS give the first node shared memory for clouds; yields a warning or "".
 
     Within this context, initialize rclpy and create the node. Nothing changes if the user chose transports or another
     middleware.
@@ -63,10 +63,7 @@ def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
 
 @contextlib.contextmanager
 def large_segment(message_bytes: int, rate: float) -> Iterator[str]:
-    """Configure Fast DDS for large messages of a total size [bytes], sent at a rate [Hz].
-
-    Otherwise as `cloud_transports`.
-    """
+    """Context, as `cloud_transports`, for messages of a total size [bytes] that are sent at a rate [Hz]."""
     with _segment(lambda: _segment_size(message_bytes, rate)) as warning:
         yield warning
 
@@ -127,7 +124,7 @@ def _has_users_transports() -> bool:
 
 
 def _set_segment(stack: contextlib.ExitStack, requested: int) -> str:
-    """Set the environment for a segment of a size [bytes], or for UDP if memory is short; return a warning or ""."""
+    """Set the environment, until ``stack`` closes, for a segment [bytes], or UDP if short; return a warning or ""."""
     requested = min(requested, _MAX_SEGMENT)
     try:
         status = os.statvfs(_SHARED_MEMORY)
@@ -151,7 +148,7 @@ def _set_segment(stack: contextlib.ExitStack, requested: int) -> str:
 
 
 def _udp_variables(stack: contextlib.ExitStack) -> dict[str, str | None]:
-    """Return the environment variables that restrict Fast DDS to UDP."""
+    """Return environment variables that restrict Fast DDS to UDP; None for one to remove. May write a profile."""
     local = os.environ.get(_ONLY_LOCAL) == "1" or os.environ.get(_RANGE, "").upper() == "LOCALHOST"
     if not local:
         return {_BUILTIN: "UDPv4"}

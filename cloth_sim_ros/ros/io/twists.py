@@ -56,7 +56,7 @@ class TwistCommands:
         self._gates = {name: StampGate() for name in simulation.scene.gripper_names}
 
     def receive(self, gripper: str, message: Any, now: int) -> None:
-        """Check and store the commanded velocity in a TwistStamped that came at a ROS time [ns].
+        """Check and store the velocity in a TwistStamped that came at a ROS time [ns]; ValueError if it is refused.
 
         Raises:
             ValueError: if the gripper can't follow it.
@@ -93,7 +93,7 @@ class TwistCommands:
             gate.reset()
 
     def events(self, now: int) -> list[Event]:
-        """Return the target of each gripper with a velocity at the end of the frame due at a ROS time [ns]."""
+        """Return targets, at the end of the frame due at a ROS time [ns], by velocities; forget those that time out."""
         simulation = self._simulation
         if not self._twists or simulation.paused:
             return []
@@ -125,7 +125,7 @@ class TwistCommands:
         return events
 
     def _rotation(self, gripper: str, frame_id: str, stamp: int) -> Any:
-        """Return the rotation matrix from the axes of a frame to those of the cloth's frame."""
+        """Return the rotation matrix (3, 3) from the axes of a TF or gripper frame to those of the cloth's frame."""
         if frame_id == f"{self._prefix}/{gripper}":
             grippers = self._simulation.grippers
             return rotation_matrix(grippers.poses()[grippers.names.index(gripper)][3:])

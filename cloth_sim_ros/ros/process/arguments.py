@@ -24,7 +24,7 @@ class ArgumentsError(ValueError):
 
 
 def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """Return the parsed arguments that are not for ROS; start rclpy with the others, without signal handlers.
+    """Start rclpy with the ROS arguments, without signal handlers; return the others, parsed, or ArgumentsError.
 
     Raises:
         ArgumentsError: if rclpy refuses the ROS arguments or can't start in this environment.
@@ -47,7 +47,7 @@ def error_text(error: Exception) -> str:
 
 
 def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
-    """Refuse an environment in which rclpy can't start: its log folder or, with security, its keystore.
+    """Raise ArgumentsError if rclpy can't start: log folder, made if missing, or with security its keystore.
 
     With security, the RuntimeWarning that accompanies an error known to `explain_error` is switched off.
 
@@ -80,7 +80,7 @@ def explain_error(message: str) -> str:
 
 
 def _check_log_folder(environment: Mapping[str, str]) -> None:
-    """Create the log folder that rcl would use; refuse it if it can't be created or written."""
+    """Create the log folder that rcl would use; raise ArgumentsError if it can't be created or written."""
     remedy = "set ROS_LOG_DIR to a folder that can be written"
     named = environment.get("ROS_LOG_DIR") or f"{environment.get('ROS_HOME') or '~/.ros'}/log"
     if named.startswith("~") and not environment.get("HOME"):
@@ -95,7 +95,7 @@ def _check_log_folder(environment: Mapping[str, str]) -> None:
 
 
 def _check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
-    """Refuse a keystore without the node's enclave if only secured nodes may start."""
+    """Raise ArgumentsError if only secured nodes may start and the keystore lacks the node's enclave."""
     keystore = environment.get("ROS_SECURITY_KEYSTORE", "")
     if not keystore:
         raise ArgumentsError(

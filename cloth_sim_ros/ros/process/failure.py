@@ -60,7 +60,10 @@ class FailureGuard:
         return f"failed: {self.reason}; call ~/reset" if self.reason else ""
 
     def run(self, frame: Callable[[], None], stamp: int) -> None:
-        """Run the frame due at a ROS time [ns]; while failed, run it only if a reset waits, and refuse other events."""
+        """Run a frame due at a ROS time [ns]; an exception restores the state before it, and the node is failed.
+
+        While the node is failed, the frame runs only if a reset waits, and other events are refused.
+        """
         failed = self.reason
         if failed:
             is_reset = self._queue.contains(Reset)
@@ -91,7 +94,7 @@ class FailureGuard:
         return True
 
     def attempt(self, subject: str, job: Callable[[], Any]) -> None:
-        """Run a job that must not end the node; an exception is logged, once a minute for each subject."""
+        """Run a job that must not end the node; log its exception instead, once a minute for each subject."""
         try:
             job()
         except Exception as error:
@@ -166,7 +169,7 @@ def ignore_errors_after_shutdown(node: Node) -> Iterator[None]:
 
 
 def describe_exception(error: Exception) -> str:
-    """Return type and message of an exception in one line."""
+    """Return type and message of an exception in one line of about 300 characters at most."""
     text = " ".join(str(error).split())
     line = f"{type(error).__name__}: {text}" if text else type(error).__name__
     return line if len(line) <= _MAX_REASON_LENGTH else f"{line[:_MAX_REASON_LENGTH]}..."

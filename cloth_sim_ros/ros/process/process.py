@@ -32,7 +32,7 @@ _TAKE_ERRORS = ("RCLError", "RMWError")
 
 
 def run(argv: Sequence[str], signals: StopSignals) -> int:
-    """Run the node until a signal or a failure ends it; return the exit status.
+    """Run the node until a signal or a failure ends it; return the exit status, or exit here if a job is abandoned.
 
     Args:
         argv: the command line, including the command.

@@ -15,7 +15,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopRequestedError(Exception):
-    """A signal requested a stop during an interruptible computation or wait."""
+    """Error: a signal requested a stop during an interruptible computation or wait."""
 
 
 class StopSignals:
@@ -47,7 +47,7 @@ class StopSignals:
 
     @contextmanager
     def exiting_at_once(self) -> Iterator[None]:
-        """Context in which the first signal ends the process at once, because nothing needs a shutdown yet.
+        """Context in which the first signal ends the process at once, with status 0: nothing needs a shutdown yet.
 
         Used during imports: an exception there may be mistaken for a missing library and leaves partial modules.
         """
@@ -58,7 +58,7 @@ class StopSignals:
             self._exits_at_once = False
 
     def report_early_stop(self) -> None:
-        """Print that a signal stopped the node while it was starting."""
+        """Print to standard error that a signal stopped the node while it was starting."""
         name = self.requested.name if self.requested else "a signal"
         print(f"cloth_sim: {name}: stopped while starting", file=sys.stderr, flush=True)
 

@@ -26,7 +26,7 @@ _END_TIMEOUT, _KILL_TIMEOUT = 1.0, 1.0
 
 
 class WorkerProcess(Generic[Job]):
-    """Child process that runs a module: it takes the newest job and returns answers, without blocking the node.
+    """Child process that runs a module, started at once: takes the newest job and answers, without blocking the node.
 
     Args:
         module: module that the process runs, with this process's id as argument. It reads pickled objects from its

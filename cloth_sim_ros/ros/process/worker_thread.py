@@ -40,7 +40,7 @@ class InterruptibleLock:
         self._lock = threading.RLock()
 
     def __enter__(self) -> None:
-        """Wait for the lock and take it; give up if a stop signal came.
+        """Wait for the lock and take it; raise StopRequestedError if a stop signal came and it is not free in 0.1 s.
 
         Raises:
             StopRequestedError: if a signal has come and the lock is not free within 0.1 s.
@@ -78,7 +78,7 @@ class WorkerThread:
         return self._running
 
     def run(self, job: Callable[[], T]) -> T:
-        """Run a job in the worker thread and wait for it; return what it returns, or raise what it raises.
+        """Run a job in the worker thread and wait for it; return or raise what it does; StopRequestedError on a signal.
 
         Raises:
             StopRequestedError: if a signal came before the job, or comes and the job does not end within 0.1 s. A job

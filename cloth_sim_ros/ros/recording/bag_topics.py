@@ -81,14 +81,14 @@ class BagTopics:
                 # The cloth goes on; a bag runs again from the next snapshot on.
                 self._log.error("~/snapshot: no memory is left for it; end other processes, or take a smaller cloth")
 
-    def next_labels(self, stamp: int) -> dict[str, Any]:
-        """Count the next frame record; return its numbering, number and stamp [ns], or nothing without subscribers.
+    def next_record_extras(self, stamp: int) -> dict[str, Any]:
+        """Count the next frame record; return its session, sequence and stamp [ns] by key, {} without subscribers.
 
         Without subscribers there are none, and the record is not published.
         """
-        labels = {"session": self._session, "sequence": self._sequence, "stamp": stamp}
+        extras = {"session": self._session, "sequence": self._sequence, "stamp": stamp}
         self._sequence += 1
-        return labels if self._subscription_count else {}
+        return extras if self._subscription_count else {}
 
     def publish(self, record: bytes) -> None:
         """Publish the bytes of a frame record on ~/frame."""

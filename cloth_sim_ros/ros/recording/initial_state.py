@@ -24,7 +24,7 @@ _MAX_DIGITS = 18
 
 
 def session_state(name: str) -> dict[str, bytes]:
-    """Return {name: bytes of the state} for a name `session.mcap@frame`; an empty dict for a plain file's name.
+    """Return {name: bytes of the state} for a name `session.mcap@frame`, replayed; {} for a plain file's name.
 
     Only snapshots are recorded in full. The session is replayed from the last snapshot before the frame. For a split
     session any file may be named; the others are searched in the same folder.
@@ -47,7 +47,7 @@ def session_state(name: str) -> dict[str, bytes]:
 
 
 def _state_at(path: str, frame: int, name: str) -> bytes:
-    """Return the bytes of the state at a frame of a session, which is given by any of its files."""
+    """Return the bytes of the state at a frame of a session, given by any of its files; replays from a snapshot."""
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.reader import SessionReader, session_files
 

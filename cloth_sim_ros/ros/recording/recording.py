@@ -124,7 +124,7 @@ class SessionRecording:
             raise RecordingUnavailableError(str(error)) from error
 
     def _check_libraries(self) -> None:
-        """Import the libraries for recording.
+        """Import the libraries for recording; set `missing`, empty if all are installed.
 
         The session's modules import them late, in the recorder's thread, which could not report a missing one.
 
@@ -142,7 +142,7 @@ class SessionRecording:
         self.missing = ""
 
     def wait_until_open(self) -> Path:
-        """Wait until the file of the started recording exists, and return its path.
+        """Wait, blocking, until the file of the started recording exists, and return its path.
 
         Raises:
             RecordingUnavailableError: if the file can't be created; then nothing is recorded.
@@ -166,7 +166,7 @@ class SessionRecording:
         self._listeners.append(listener)
 
     def poll(self) -> str:
-        """Call the listeners whose event has come; return an error of the recording once, or an empty text."""
+        """Call listeners whose event has come; return an error of the recording once, or "". Call it periodically."""
         recorder = self._recorder or self._closing
         if recorder is None:
             return ""
@@ -197,7 +197,7 @@ class SessionRecording:
         self._recorder, self._closing = None, self._recorder
 
     def end(self, *, reason: str, timeout: float) -> RecorderStatus | None:
-        """Close the recording, if one runs, within a time [s], and return its final status."""
+        """Close the recording, blocking for a time [s] at most; return its final status, or None if none runs."""
         recorder = self._recorder or self._closing
         if recorder is None:
             return None
@@ -235,17 +235,17 @@ class SessionRecording:
             self.bag_topics.restart()
 
     def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
-        """Record a message's bytes at a ROS time [ns], if a recording runs."""
+        """Record a message's bytes at a ROS time [ns], if a recording runs; within a frame, buffer until `commit`."""
         if self._recorder is not None:
             self._record(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
 
     def add_frame(self, frame: Frame, stamp: int) -> None:
-        """Write a frame's record (events, steps, digest) before its messages, and to ~/frame if subscribed."""
+        """Write a frame's record (events, steps, digest) before its messages, and to ~/frame; consume `extras`."""
         extras, self.extras = self.extras, {}
-        labels = {} if self.bag_topics is None else self.bag_topics.next_labels(stamp)
-        if self._recorder is None and not labels:
+        numbering = {} if self.bag_topics is None else self.bag_topics.next_record_extras(stamp)
+        if self._recorder is None and not numbering:
             return
-        extras |= labels
+        extras |= numbering
         if (energy := self._simulation.energy_report) is not None:
             extras |= {"energy": energy.total, "energy balance": energy.residual}
         from cloth_sim_ros.session.cdr import encode_string
@@ -263,7 +263,7 @@ class SessionRecording:
             extras=extras | frame.extras(),
         )
         data = encode_string(record.to_json())
-        if self.bag_topics is not None and labels:
+        if self.bag_topics is not None and numbering:
             self.bag_topics.publish(data)
         self._record(f"{self._node_name}/frame", _FRAME_TYPE, data, log_time=stamp, droppable=False)
 
@@ -276,7 +276,7 @@ class SessionRecording:
             self._pending.append(lambda recorder: recorder.record(*message, **options))
 
     def save_state(self) -> Path:
-        """Write the cloth's state as .npz into the recording folder, and return its path.
+        """Write the cloth's state as .npz into the recording folder; return its path, or RecordingUnavailableError.
 
         Raises:
             RecordingUnavailableError: if the file can't be written; the message has the cause and the remedy.

@@ -38,7 +38,7 @@ class RosoutRecorder:
         self._subscriptions: list[Any] = []
 
     def update(self) -> None:
-        """Subscribe when a recording starts and unsubscribe when it ends: many nodes publish on these topics."""
+        """Subscribe if a recording runs, else unsubscribe: many nodes publish there. Call it periodically."""
         if self._sink.running and not self._subscriptions:
             logger, name = self._node.get_logger().name, self._node.get_fully_qualified_name()
             self._subscribe(Log, "/rosout", _ROSOUT_QOS, lambda message: message.name == logger)
@@ -87,7 +87,7 @@ class RecordingControl:
     saved: bool | None = attrs.field(default=None, init=False)
 
     def begin_with_node(self, now: int) -> None:
-        """Start a recording with the node at a ROS time [ns], and wait for its file.
+        """Start a recording at a ROS time [ns] and wait for its file; without the libraries, only log an error.
 
         Raises:
             RecordingUnavailableError: if the recording can't start although its libraries are installed.
@@ -103,7 +103,7 @@ class RecordingControl:
         self._node.get_logger().info(f"recording into {path}")
 
     def switch(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
-        """Start or end a recording; call `answer` with success and a message when its file is open or closed."""
+        """Start or end a recording; call `answer` with success and path or reason when its file is open or closed."""
         self._node.get_logger().debug(f"~/record: {'begins' if begin else 'ends'} a recording")
         try:
             if begin:
@@ -157,7 +157,7 @@ class RecordingControl:
             self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
 
     def end(self, *, timeout: float) -> None:
-        """End the recording because the node ends, within a time [s], and log the result."""
+        """End the recording because the node ends, blocking for a time [s] at most; log the result, and set `saved`."""
         status = self.session.end(reason="node stopped", timeout=timeout)
         if status is not None:
             log_end(self._node.get_logger(), status)

@@ -51,7 +51,7 @@ class FrameTally:
         return self.frames * period / max(time.monotonic() - self._begun, 1e-9)
 
     def report(self, period: float) -> dict[str, Any]:
-        """Return real-time factor, late frames, load and longest frame [s] since the last report."""
+        """Return real_time_factor, late, load and longest [s] since the last report, and begin the next one."""
         now = time.monotonic()
         elapsed = max(now - self._since, 1e-9)
         frames, late, busy = self._reported
@@ -85,7 +85,7 @@ class DiagnosticsPublisher:
         self._output = Output(node, DiagnosticArray, "/diagnostics", sink)
 
     def send(self) -> None:
-        """Collect the present diagnostics; publish them if there is a subscriber or a recording."""
+        """Collect the present diagnostics, and publish and record them if there is a subscriber or a recording."""
         has_consumers = self._output.has_consumers
         level, summary, values = self._collect(has_consumers)
         if not has_consumers:

@@ -21,7 +21,7 @@ class GripperSpeedMonitor:
         self._limit: set[str] = set()
 
     def check(self) -> None:
-        """Warn of grippers that reached their speed limit in the newest frame."""
+        """Warn of grippers that the newest frame limited in speed, unless the one before it did. Call it after each."""
         grippers = self._simulation.grippers
         limited = grippers.speed_limited
         if not limited and not self._limit:

@@ -38,15 +38,15 @@ class ThrottledLog:
             self._logger.debug(message())
 
     def info(self, kind: str, message: str) -> None:
-        """Log a message at level INFO, or count it as omitted if one of its kind was just logged."""
+        """Log a message at level INFO, or count it as omitted if one of its kind was logged within the period."""
         self._log(kind, message, _INFO)
 
     def warn(self, kind: str, message: str) -> None:
-        """Log a message at level WARN, or count it as omitted if one of its kind was just logged."""
+        """Log a message at level WARN, or count it as omitted if one of its kind was logged within the period."""
         self._log(kind, message, _WARN)
 
     def error(self, kind: str, message: str) -> None:
-        """Log a message at level ERROR, or count it as omitted if one of its kind was just logged."""
+        """Log a message at level ERROR, or count it as omitted if one of its kind was logged within the period."""
         self._log(kind, message, _ERROR)
 
     def flush(self) -> None:

@@ -90,7 +90,7 @@ class DiagnosticsCollector:
         self.gauge = StrainGauge(self._simulation.scene)
 
     def __call__(self, has_consumers: bool = True) -> DiagnosticsReport:
-        """Return level, summary and values; measure the strain only if a subscriber or recording takes them."""
+        """Return level, summary and {key: text}, with rates since the last call; measure strain only for a consumer."""
         period = self._simulation.scene.period
         rates = self._timing.tally.report(period)
         values = {

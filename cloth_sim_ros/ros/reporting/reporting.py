@@ -91,8 +91,8 @@ class Reporting:
         self._outputs.obstacles.log_recovery(frame)
         self.collector.advance = frame.advance or self.collector.advance
 
-    def update(self) -> None:
-        """Publish diagnostics if a second has passed. No timer of its own: the executor would check it in each spin."""
+    def publish_diagnostics(self) -> None:
+        """Publish diagnostics if a second has passed since the last. Call it periodically, more often than that."""
         now = time.monotonic()
         if now >= self._next_report_time:
             self._next_report_time = max(self._next_report_time, now - MAINTENANCE_PERIOD) + PERIOD
@@ -100,7 +100,7 @@ class Reporting:
             self._failure.attempt("diagnostics are not published", self.diagnostics.send)
 
     def report_changes(self) -> None:
-        """Start or end the accuracy monitor by its parameter; log messages of child processes and a changed speed."""
+        """Start or end the accuracy monitor; log messages of processes and a changed speed. Call it periodically."""
         self.accuracy.update()
         self._outputs.report_processes()
         if self._parameters_changed:

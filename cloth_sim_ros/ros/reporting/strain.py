@@ -27,7 +27,7 @@ class StrainGauge:
         self._inverse_squares = lengths[lengths > 0.0] ** -2.0
 
     def largest(self, x: Array) -> float | None:
-        """Return the largest strain of an edge at x [m], shape (3, n); None if there are no edges or too many."""
+        """Return the largest relative elongation of an edge at x [m], (3, n); None for no edges or too many."""
         if not 0 < len(self._inverse_squares) <= MAX_EDGES:
             return None
         # One component at a time and one root at the end: a quarter of the time.

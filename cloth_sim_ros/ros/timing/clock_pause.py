@@ -31,7 +31,7 @@ class ClockPause:
         return self._user_pause if self._is_active else self._simulation.paused
 
     def events(self, *, stands: bool) -> tuple[list[Event], list[Event]]:
-        """Return the pause events to add before and after the user's events of a frame.
+        """Return pause events to apply before, and after, the user's events of a frame; `commit` follows a good frame.
 
         Args:
             stands: true if /clock stands.

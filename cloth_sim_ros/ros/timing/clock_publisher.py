@@ -46,7 +46,7 @@ class ClockPublisher:
         return self.now
 
     def check(self) -> None:
-        """Warn if another node publishes /clock too."""
+        """Warn if another node publishes /clock too. Call it periodically."""
         this = self._node.get_fully_qualified_name()
         publishers = [
             f"{entry.node_namespace.rstrip('/')}/{entry.node_name}"

@@ -149,7 +149,7 @@ class FirstContact:
         self._reported: set[str] = set()
 
     def new_contacts(self, frame: Frame) -> str:
-        """Return as text the names of obstacles and grippers that a frame touched for the first time; empty if none."""
+        """Return as text what a frame touched for the first time (obstacles, grippers, itself); empty if nothing."""
         contact = self._simulation.plan.contact
         if contact is None or not frame.moved or frame.advance is None or not frame.advance.steps:
             return ""

@@ -62,7 +62,7 @@ class EventQueue:
         return len(self._entries)
 
     def evict_target(self, event: Event) -> None:
-        """Make room for an event: remove the oldest target if the queue is full.
+        """Make room for an event: if the queue is full, remove the oldest target unanswered, or raise QueueFullError.
 
         Raises:
             QueueFullError: if the queue is full and holds no target.
@@ -82,7 +82,7 @@ class EventQueue:
     def put(
         self, event: Event, *, stamp: int = 0, answer: AnswerCallback | None = None, reserved: bool = False
     ) -> None:
-        """Queue an event for its frame. With `reserved`, `evict_target` was called before, and nothing is raised.
+        """Queue an event for its frame; raise QueueFullError without room, unless `evict_target` `reserved` it before.
 
         Raises:
             QueueFullError: if the queue is full and holds no target.
@@ -110,7 +110,7 @@ class EventQueue:
         return sorted(ready, key=lambda entry: entry.stamp)
 
     def drop_later(self, stamp: int) -> None:
-        """Remove the targets due after a ROS time [ns]; events of other classes are due at once."""
+        """Remove, without an answer, the targets due after a ROS time [ns]; other events are due at once."""
         self._entries = [entry for entry in self._entries if entry.stamp <= stamp]
 
     def withdraw(self, event: Event) -> None:

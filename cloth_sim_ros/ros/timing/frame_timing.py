@@ -59,7 +59,7 @@ class FrameTiming:
         on_jump_back: Callable[[int, int], None],
         on_jump_forward: Callable[[int], None],
     ) -> None:
-        """Start the pacer; from then on it calls `on_tick` for each frame that is due.
+        """Create and start the pacer; from then on it calls `on_tick` for each frame that is due.
 
         Args:
             on_tick: computes a frame.
@@ -85,7 +85,7 @@ class FrameTiming:
         self.pacer.start()
 
     def stop(self) -> bool:
-        """Stop the pacer; return true if no frame is running."""
+        """Stop the pacer, and wait at most 0.2 s; return true if no frame is running."""
         return self.pacer is None or self.pacer.stop()
 
     def count(self, frame: Frame, tick: FrameTick, seconds: float) -> None:
@@ -99,7 +99,7 @@ class FrameTiming:
         )
 
     def check_clock(self) -> None:
-        """Check if a followed /clock stands, and if others publish it too. Call it a few times a second."""
+        """Check if a followed /clock stands, or if others publish /clock too. Call it a few times a second."""
         if isinstance(self.pacer, ClockPacer):
             self.pacer.check()
         if self.clock_publisher is not None:

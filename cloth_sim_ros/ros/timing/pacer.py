@@ -42,7 +42,7 @@ _MIN_STANDING_PERIOD = 0.01
 
 @attrs.frozen(kw_only=True)
 class FrameTick:
-    """Request to compute one frame, with stamp and lateness."""
+    """Request to compute one frame: its stamp and start in ROS time [ns], lateness [ns], and ticks skipped before."""
 
     #: ROS time of the tick [ns].
     stamp: int
@@ -118,7 +118,7 @@ class WallPacer:
         self._timer_thread.start()
 
     def stop(self) -> bool:
-        """Stop the ticks; return true if no frame is running."""
+        """Stop the ticks, and wait at most 0.2 s; return true if no frame is running."""
         if self._timer_thread is None:
             return True
         if self._ended.locked():
@@ -131,7 +131,7 @@ class WallPacer:
         return True
 
     def _tick_index(self) -> int:
-        """Index of the newest tick: number of periods since the start."""
+        """Return the index of the newest tick: number of periods since the start."""
         return (time.monotonic_ns() - self._start) // self.period
 
     def _timer_loop(self) -> None:
@@ -175,7 +175,7 @@ class WallPacer:
             self._pending_since = time.monotonic_ns()
 
     def _serve(self) -> None:
-        """Run the due frame in the executor, if all commands were taken; else request another spin."""
+        """Run the due frame in the executor if all commands were taken, else request a spin; raise a timer's error."""
         if self._error is not None:
             raise self._error
         if self._timer_thread is None:

@@ -26,7 +26,7 @@ _WARNING_PERIOD = 60.0
 
 
 def check_sim_time(value: Any) -> None:
-    """Refuse a value of `use_sim_time` that is not a bool; rclpy would log an error and use wall time.
+    """Raise ParameterError if a value of `use_sim_time` is no bool; rclpy would log an error and use wall time.
 
     Raises:
         ParameterError: names the allowed values.

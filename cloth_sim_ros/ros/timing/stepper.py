@@ -43,7 +43,7 @@ class Stepper:
         self._results: list[tuple[QueuedEvent, EventResult]] = []
 
     def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame | None:
-        """Compute the frame due at a ROS time [ns] with the events queued for it; return None if it was aborted.
+        """Compute the frame due at a ROS time [ns] with its queued events; None if aborted. Instability sets `trouble`.
 
         Args:
             stamp: ROS time [ns]; events with later stamps stay in the queue.
@@ -98,19 +98,19 @@ class Stepper:
         return None if self.aborted else frame
 
     def answer(self) -> None:
-        """Call the answer callbacks of the newest frame's events with their results."""
+        """Call the answer callbacks of the newest frame's events with their results, once."""
         results, self._results, self._entries = self._results, [], []
         for entry, result in results:
             if entry.answer is not None:
                 entry.answer(result)
 
     def refuse(self, reason: str) -> None:
-        """Call the answer callbacks of the newest frame's events with the reason why the frame failed."""
+        """Call the answer callbacks of the newest frame's events, once, with the reason why the frame failed."""
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
 
     def _impossible_events(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
-        """Return the events that can't take effect any more, with the reasons."""
+        """Return pairs of an event that can't take effect any more, and the reason."""
         impossible = []
         for entry in entries:
             try:

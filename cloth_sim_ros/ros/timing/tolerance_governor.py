@@ -55,7 +55,7 @@ class ToleranceGovernor:
         return self.live and self._simulation.scene.overload == "relax"
 
     def events(self) -> list[Relax]:
-        """Return the event that changes the tolerance at the start of the next frame, if a change is due."""
+        """Return the event that changes the tolerance from the next frame on, once if a change is due; else []."""
         factor = relaxation.factor_of(self._simulation.state)
         if not self._is_active and factor != 1.0:
             self._begin_window()
