@@ -17,8 +17,6 @@ from cloth_sim_ros.ros.io.messages import set_stamp
 from cloth_sim_ros.ros.io.output import Output, RecordSink
 
 PERIOD = 1.0
-#: Below this real-time factor the cloth can't keep up.
-_SLOW = 0.95
 
 
 @attrs.define
