@@ -67,7 +67,7 @@ class Estimate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval (lower, upper) of the log-normal estimate, in the parameter's unit."""
+        """95 % interval (lower, upper) in the parameter's unit: log-normal, or log-Student with `freedom`."""
         return self.interval_at(0.95)
 
     def interval_at(self, level: float) -> tuple[float, float]:

@@ -97,7 +97,7 @@ class NoiseModel:
         return weight
 
     def _split(self, r: Array, modes: Array) -> tuple[CloudWeight, Array, Array]:
-        """Return the weights, the coefficients of the smooth modes (modes, d), and the remaining residuals (n, d)."""
+        """Return the cloud's weight, coefficients of the smooth modes (modes, d), and remaining residuals (n, d)."""
         n, d = r.shape
         point_weights, scale = np.ones(n), 1.0
         white, k = self.sigma**2, len(self.variances)

@@ -177,7 +177,7 @@ def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape 
 
 
 def coarser_drape(sample: FabricSample, fine: Drape) -> Drape:
-    """Simulate the drape of a coarser mesh, from the shape of a finer drape, so that both have the same folds."""
+    """Simulate the drape of a mesh `COARSENING` times as coarse, from a finer drape's shape; maybe not converged."""
     test = attrs.evolve(fine.test, edge_length=COARSENING * fine.test.edge_length)
     return drape(sample, test, seed=fine.seed, start=fine)
 

@@ -53,7 +53,7 @@ def eye_position(scan: PreScan) -> tuple[Floats, Floats]:
 
 
 def make_blueprint(scan: PreScan, *, following: bool = False, picture: bool = False) -> rrb.Blueprint:
-    """Return the viewer's layout for a session. `following`: cursor on the newest frame. `picture`: no menus."""
+    """Return the viewer's layout for a session. `following`: cursor on newest frame. `picture`: no menus, paused."""
     import rerun.blueprint as rrb
 
     position, target = eye_position(scan)

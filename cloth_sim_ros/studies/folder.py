@@ -213,7 +213,7 @@ class StudyFolder:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Context that locks the folder for one process at a time. Raises StudyError if another one has the lock.
+        """Context that locks the folder, if its file system can. Raises StudyError if another process has the lock.
 
         Raises:
             StudyError: if another client has the lock.

@@ -41,7 +41,7 @@ OF_ENSEMBLE = {
 
 
 class OutcomeRecorder:
-    """Recorder of a run's frames, from which it computes outcomes: numbers such as the mean height.
+    """Recorder of a run, which computes outcomes from recorded forces and the simulation's present state.
 
     Args:
         simulation: the simulation, at its start.
@@ -74,7 +74,7 @@ class OutcomeRecorder:
                 self.error_estimate = (self.error_estimate or 0.0) + float(frame.advance.error)
 
     def outcomes(self) -> dict[str, float]:
-        """Return the built-in outcomes of the recorded frames by name: heights, extents, speeds, forces."""
+        """Return the built-in outcomes by name: present heights, extents and speeds; forces of the recorded frames."""
         x, v = self._simulation.state.x, self._simulation.state.v
         wrenches = np.array(self._wrenches).reshape(-1, 6)
         forces, torques = wrenches[:, :3], wrenches[:, 3:]

@@ -96,7 +96,7 @@ class _Contents:
     """Number of unreadable messages by reason, of the first few reasons."""
 
     def key(self, session: str, sequence: int) -> _Key:
-        """Return a record's key from its node's run, registered if it is new, and its number in that run."""
+        """Return the key of a record from its node's run and its number there; register the run if it is new."""
         return _Key(self.sessions.setdefault(session, len(self.sessions)), sequence)
 
 

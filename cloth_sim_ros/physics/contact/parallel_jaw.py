@@ -78,7 +78,7 @@ class ParallelJaw:
         return math.sqrt(0.25 * (x * x + z * z) + extent * extent)
 
     def with_limits(self, force: float, speed: float) -> ParallelJaw:
-        """Return jaws whose force [N] and speed [m/s] are at most these values, 0 for no limit; inertia follows."""
+        """Return jaws with force [N] and speed [m/s] lowered to these, 0 for the present ones; inertia follows."""
         new_force, new_speed = min(force or self.force, self.force), min(speed or self.speed, self.speed)
         if (new_force, new_speed) == (self.force, self.speed):
             return self

@@ -84,7 +84,7 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
 
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
-    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] among several such pairs."""
+    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of one or more such pairs."""
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
@@ -183,7 +183,7 @@ class ExtrapolationTableau:
 
     @property
     def jerk_change(self) -> float:
-        """Largest change of a particle's jerk from start to middle of the first run, times T²/4 [m/s]."""
+        """Largest change of a particle's jerk from start to middle of the first run, times T²/4 [m/s]; 0 if unknown."""
         self._make_runs(1)
         return self._runs[0].jerk_change
 

@@ -82,10 +82,10 @@ def compile(model: Model) -> Plan:
     threads="threads_per_run",
 )
 class Plan(PlanQueries, Uncopyable):
-    """Model compiled for the engine: accelerations, runs, energies, bounds, as sums over its parts; one call at a time.
+    """Model compiled for the engine: accelerations, runs, energies, bounds. A call during another one is refused.
 
-    Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. A plan is not
-    re-entrant: it allows one call at a time.
+    Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. A call
+    while another one runs raises RuntimeError.
     """
 
     copy_refusal = "a plan owns memory of the engine, and can't be copied or pickled; compile its model once more"

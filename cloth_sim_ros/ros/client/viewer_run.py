@@ -53,7 +53,7 @@ def run(argv: Sequence[str], target: str, drawing: subprocess.Popen[bytes], sign
 
 
 def _forward(drawing: subprocess.Popen[bytes], target: str, should_continue: Callable[[], bool]) -> None:
-    """Forward a node's messages to the input of the drawing process while `should_continue` returns true."""
+    """Spin a node that forwards another node's messages to the drawing process while `should_continue` is true."""
     assert drawing.stdin is not None
     pipe = drawing.stdin.fileno()
     os.set_blocking(pipe, False)

@@ -82,7 +82,7 @@ def build_obstacles(scene: Scene, state: State) -> Obstacles | None:
 
 
 def build_joints(scene: Scene, model: Model, state: State) -> ObstacleJoints | None:
-    """Build the joints of particles and present obstacles on a state, or None; raise ValueError if it does not fit.
+    """Build the joints to obstacles, or None without any; put their points into the state. Raises ValueError.
 
     Raises:
         ValueError: for a state with another number of joints.

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @with_old_names(supply="external_power")
 class Force:
-    """Base class of a model's forces: force, energy, dissipation, and bounds of stiffness and damping.
+    """Base class of a model's forces. Those in Python have force, energy and bounds; the engine's only `parts`.
 
     A force of the engine describes its parts in `parts`. A Python force does not override `parts`. It overrides
     `add_force` and, if it has them, `energy`, `add_stiffness` and the other methods. A Python force costs only its own

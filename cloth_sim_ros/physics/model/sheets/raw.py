@@ -150,6 +150,6 @@ class RawSprings:
 
 
 def _distances(positions: Array, pairs: NDArray[np.int64]) -> Array:
-    """Return the distance of the two particles of each pair (m, 2) [m], shape (m,)."""
+    """Return the distance [m] of the two particles of each pair, shape (pair_count,)."""
     away = positions[pairs[:, 1]] - positions[pairs[:, 0]]
     return np.sqrt(row_sum((away * away).T))
