@@ -8,6 +8,7 @@ The engine releases the interpreter lock while it computes, therefore each threa
 from __future__ import annotations
 
 import itertools
+import numbers
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -28,9 +29,9 @@ def resolve_worker_count(count: int | None, name: str = "threads") -> int:
     """
     if count is None:
         return len(os.sched_getaffinity(0))
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, numbers.Integral) or count < 1:
         raise ValueError(f"{name} is {count!r}; it must be a whole number of at least 1, or None")
-    return count
+    return int(count)
 
 
 class ThreadPool:
