@@ -33,12 +33,18 @@ class Generators:
         count = len(self._generators)
         if seed is None:
             return
+        if isinstance(seed, str) or not (isinstance(seed, int | np.integer) or np.iterable(seed)):
+            raise ValueError(f"seed is {seed!r}; it must be a whole number, or one for each cloth")
         seeds = [int(seed) + i for i in range(count)] if isinstance(seed, int | np.integer) else list(seed)
         if len(seeds) != count:
             raise ValueError(f"seed has {len(seeds)} numbers; give one for each of the {count} cloths, or one number")
         for i in indices:
+            seed = seeds[i]
+            if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
+                raise ValueError(f"seed of cloth {i} is {seed!r}; it must be a whole number of at least 0, or None")
+        for i in indices:
             if seeds[i] is not None:
-                self._make(i, seeds[i])
+                self._make(i, int(seeds[i]))
 
     def generator(self, index: int) -> np.random.Generator:
         """Return the random generator of one cloth."""
