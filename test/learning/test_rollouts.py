@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cloth_sim_ros import Grasp, Scene, SetParameters, Simulation, Target
+from cloth_sim_ros import Grasp, Pause, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.batch import rollouts
 
 SCENE = Scene.from_parameters({"cloth.resolution": [5, 6], "tolerance": 1e-3, "grippers": ["left", "right"]})

@@ -177,7 +177,9 @@ def test_snapshot_of_other_distribution_is_refused() -> None:
     for other, options in ((vary(air__drag=0.2), {}), (vary(material__density=0.3), {}), (TWO, {"members": 2})):
         with Ensemble(scene, other, threads=1, **options) as ensemble:
             before = ensemble.positions.tobytes()
-            with pytest.raises(ValueError, match="restore it in an ensemble of the same distribution, members and seed"):
+            with pytest.raises(
+                ValueError, match="restore it in an ensemble of the same distribution, members and seed"
+            ):
                 ensemble.restore(saved)
             assert ensemble.positions.tobytes() == before
 

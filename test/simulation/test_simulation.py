@@ -14,6 +14,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import (
     Grasp,
+    MoveObstacles,
     Pause,
     Reset,
     SetParameters,
@@ -323,7 +324,7 @@ def test_fixed_step_above_grip_limit_fails_with_limit():
 def test_pause_of_any_truth_value_is_a_bool():
     digests = set()
     for paused in (True, 1, np.bool_(True)):
-        simulation = small()
+        simulation = Simulation(small())
         simulation.advance([Pause(paused)])
         assert simulation.paused
         assert from_dict(json.loads(json.dumps(to_dict(Pause(paused))))) == Pause(True)
@@ -342,15 +343,17 @@ def test_parameters_of_event_are_plain_and_independent():
     assert from_dict(json.loads(text)) == event
 
 
-@pytest.mark.parametrize(("arguments", "words"), [(({},), "scene is {}; give a Scene"), ((None, 3), "state is 3; give")])
+@pytest.mark.parametrize(
+    ("arguments", "words"), [(({},), "scene is {}; give a Scene"), ((None, 3), "state is 3; give")]
+)
 def test_simulation_of_something_else_is_refused(arguments, words):
     scene, *state = arguments
     with pytest.raises(ValueError, match=words):
-        Simulation(small().scene if scene is None else scene, *state)
+        Simulation(small() if scene is None else scene, *state)
 
 
 def test_no_obstacle_moves_in_scene_without_any():
-    simulation, reference = small(), small()
+    simulation, reference = Simulation(small()), Simulation(small())
     simulation.advance([MoveObstacles([], np.empty((0, 7)))])
     reference.advance()
     assert simulation.state.digest() == reference.state.digest()

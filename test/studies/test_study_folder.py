@@ -121,9 +121,7 @@ def test_interrupted_creation_starts_anew(study_folder: StudyFolder, capsys: pyt
     assert index.read(study_folder).to_pydict()["digest"] == whole["digest"]
 
 
-def test_other_code_does_not_resume(
-    study_folder: StudyFolder, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_code_does_not_resume(study_folder: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
     package = study_folder.path / "package.json"
     package.write_text(package.read_text().replace('"numerics": "', '"numerics": "9'))
     assert resume(study_folder) == 0
