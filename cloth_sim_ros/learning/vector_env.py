@@ -270,14 +270,12 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
             self._store_state(i, self._simulations.snapshots[i].state)
 
     def _outcome(self, actions: NDArray[np.float32], is_stepped: NDArray[np.bool_]) -> Outcome:
-        arrays = self._observations, actions, self._wrenches, self._elapsed + is_stepped
         # Functions of the user must not write into the environment's arrays, nor into the caller's actions.
-        observations, actions, wrenches, elapsed = map(_read_only, arrays)
         return Outcome(
-            observations=observations,
-            actions=actions,
-            wrenches=wrenches,
-            elapsed=elapsed,
+            observations=_read_only(self._observations),
+            actions=_read_only(actions),
+            wrenches=_read_only(self._wrenches),
+            elapsed=_read_only(self._elapsed + is_stepped),
             states=[snapshot.state for snapshot in self._simulations.snapshots],
         )
 

@@ -8,16 +8,17 @@ The engine releases the interpreter lock while it computes, therefore each threa
 from __future__ import annotations
 
 import itertools
-import numbers
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
 
 from cloth_sim_ros.physics.plan import thread_limit
 
 
-def resolve_worker_count(count: int | None, name: str = "threads") -> int:
+def resolve_worker_count(count: Any, name: str = "threads") -> int:
     """Return a checked number of threads or processes; by default, one per core that this process may use.
 
     Args:
@@ -29,7 +30,7 @@ def resolve_worker_count(count: int | None, name: str = "threads") -> int:
     """
     if count is None:
         return len(os.sched_getaffinity(0))
-    if isinstance(count, bool) or not isinstance(count, numbers.Integral) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
         raise ValueError(f"{name} is {count!r}; it must be a whole number of at least 1, or None")
     return int(count)
 

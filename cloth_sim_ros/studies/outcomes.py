@@ -22,7 +22,7 @@ class OutcomeError(RuntimeError):
     """Error: a user's outcome function failed; the message gives the cause."""
 
 
-#: Largest finite double. A comparison with NaN is false.
+#: Largest finite double.
 _MAX_FLOAT = sys.float_info.max
 #: Built-in outcomes of every run, with descriptions.
 BUILT_IN = {
@@ -145,6 +145,7 @@ def _largest(vectors: Any) -> float:
 def _to_float(reference: str, name: str, value: Any) -> Any:
     if isinstance(value, bool | np.bool_):
         return float(value)
-    if isinstance(value, numbers.Real) and abs(value) <= _MAX_FLOAT:
+    # A whole number beyond a double's range has no float. A comparison with NaN is false.
+    if isinstance(value, numbers.Real) and -_MAX_FLOAT <= value <= _MAX_FLOAT:
         return float(value)
     raise OutcomeError(f"outcome '{reference}' gives {value!r} for '{name}'; it must be a finite number")
