@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
+import math
 import numbers
-import sys
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +22,6 @@ class OutcomeError(RuntimeError):
     """Error: a user's outcome function failed; the message gives the cause."""
 
 
-#: Largest finite double.
-_MAX_FLOAT = sys.float_info.max
 #: Built-in outcomes of every run, with descriptions.
 BUILT_IN = {
     "mean_height": "mean height of the particles at the end [m]",
@@ -145,7 +143,10 @@ def _largest(vectors: Any) -> float:
 def _to_float(reference: str, name: str, value: Any) -> Any:
     if isinstance(value, bool | np.bool_):
         return float(value)
-    # A whole number beyond a double's range has no float. A comparison with NaN is false.
-    if isinstance(value, numbers.Real) and -_MAX_FLOAT <= value <= _MAX_FLOAT:
-        return float(value)
+    try:
+        number = float(value) if isinstance(value, numbers.Real) else math.nan
+    except OverflowError:
+        number = math.inf
+    if math.isfinite(number):
+        return number
     raise OutcomeError(f"outcome '{reference}' gives {value!r} for '{name}'; it must be a finite number")
