@@ -144,9 +144,9 @@ def _to_float(reference: str, name: str, value: Any) -> Any:
     if isinstance(value, bool | np.bool_):
         return float(value)
     try:
-        number = float(value) if isinstance(value, numbers.Real) else math.nan
+        converted = float(value) if isinstance(value, numbers.Real) else math.nan
     except OverflowError:
-        number = math.inf
-    if math.isfinite(number):
-        return number
+        converted = math.inf
+    if math.isfinite(converted):
+        return converted
     raise OutcomeError(f"outcome '{reference}' gives {value!r} for '{name}'; it must be a finite number")

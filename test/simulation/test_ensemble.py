@@ -174,8 +174,8 @@ def test_snapshot_of_other_distribution_is_refused() -> None:
         ensemble.advance()
         saved = pickle.loads(pickle.dumps(ensemble.snapshot()))
         ensemble.restore(saved)
-    for other, options in ((vary(air__drag=0.2), {}), (vary(material__density=0.3), {}), (TWO, {"members": 2})):
-        with Ensemble(scene, other, threads=1, **options) as ensemble:
+    for distribution, options in ((vary(air__drag=0.2), {}), (vary(material__density=0.3), {}), (TWO, {"members": 2})):
+        with Ensemble(scene, distribution, threads=1, **options) as ensemble:
             before = ensemble.positions.tobytes()
             with pytest.raises(
                 ValueError, match="restore it in an ensemble of the same distribution, members and seed"
