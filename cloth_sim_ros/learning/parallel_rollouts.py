@@ -66,6 +66,10 @@ def rollouts(
         ValueError: if actions have another shape or are not finite, or an index names no particle.
         UnstableError: if the motion of a rollout does not stay finite.
     """
+    if not isinstance(snapshot, Snapshot):
+        raise ValueError(f"snapshot is {snapshot!r}; give one of a simulation, simulation.snapshot()")
+    if snapshot.paused:
+        raise ValueError("the snapshot is of a paused simulation, so nothing would move; resume it by Pause(False)")
     shape = np.shape(actions)
     if len(shape) != 4:
         raise ValueError(f"actions have shape {shape}; they must be (K, T, grippers, 4), or 8 with orientations")

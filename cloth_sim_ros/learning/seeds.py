@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -30,15 +31,12 @@ class Generators:
         Raises:
             ValueError: if the number of seeds is wrong, or a seed is no whole number of at least 0.
         """
-        count = len(self._generators)
         if seed is None:
             return
-        seeds = [int(seed) + i for i in range(count)] if isinstance(seed, int | np.integer) else list(seed)
-        if len(seeds) != count:
-            raise ValueError(f"seed has {len(seeds)} numbers; give one for each of the {count} cloths, or one number")
+        seeds = self._checked_seeds(seed)
         for i in indices:
-            if seeds[i] is not None:
-                self._make(i, seeds[i])
+            if (entry := seeds[i]) is not None:
+                self._make(i, entry)
 
     def generator(self, index: int) -> np.random.Generator:
         """Return the random generator of one cloth; one without a seed gets a random seed at its first use."""
@@ -53,6 +51,21 @@ class Generators:
         """Return the seeds of all cloths' random generators; those without a seed get a random one."""
         self.generators()
         return tuple(entry[1] for entry in self._generators if entry is not None)
+
+    def _checked_seeds(self, seed: Any) -> list[int | None]:
+        """Return the seed of each generator, checked before any is seeded."""
+        count = len(self._generators)
+        if isinstance(seed, int | np.integer):
+            seed = [int(seed) + i for i in range(count)]
+        if isinstance(seed, str) or not np.iterable(seed):
+            raise ValueError(f"seed is {seed!r}; it must be a whole number, or one for each cloth")
+        seeds = list(seed)
+        if len(seeds) != count:
+            raise ValueError(f"seed has {len(seeds)} numbers; give one for each of the {count} cloths, or one number")
+        for i, entry in enumerate(seeds):
+            if entry is not None and (isinstance(entry, bool) or not isinstance(entry, int | np.integer) or entry < 0):
+                raise ValueError(f"seed of cloth {i} is {entry!r}; it must be a whole number of at least 0, or None")
+        return [None if entry is None else int(entry) for entry in seeds]
 
     def _make(self, index: int, seed: int | None) -> np.random.Generator:
         from gymnasium.utils import seeding

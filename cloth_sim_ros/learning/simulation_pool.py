@@ -50,7 +50,17 @@ class SimulationPool:
         simulation = Simulation(scene)
         if self._prepare is not None:
             self._prepare(simulation)
+        if simulation.paused:
+            raise ValueError("prepare left the simulation paused, so no cloth would move; end it by Pause(False)")
         return simulation
+
+    def save(self) -> tuple[list[Snapshot], list[Simulation | None]]:
+        """Return the snapshots of all cloths and the simulations of randomised ones, for `restore`."""
+        return list(self.snapshots), list(self._randomised)
+
+    def restore(self, saved: tuple[list[Snapshot], list[Simulation | None]]) -> None:
+        """Restore all cloths as `save` returned them."""
+        self.snapshots[:], self._randomised[:] = saved
 
     def reset(self, indices: list[int], scenes: list[Scene]) -> None:
         """Start a new episode of some cloths, each from its scene; changes `snapshots`. Raises ValueError.

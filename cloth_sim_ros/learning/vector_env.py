@@ -165,7 +165,9 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
 
         Raises:
             ValueError: if seeds or mask have another shape.
+            RuntimeError: after `close`.
         """
+        self._check_open()
         indices = np.flatnonzero(reset_mask(options, self.num_envs)).tolist()
         self._generators.seed(seed, indices)
         self._begin(indices)
@@ -187,19 +189,28 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
             RuntimeError: before the first reset, after `close`, or if an episode is over and autoreset is disabled.
         """
         checked = self._check_actions(actions)
-        reset_indices = np.flatnonzero(self._is_over).tolist() if self.autoreset_mode is AutoresetMode.NEXT_STEP else []
-        is_stepped, snapshots = ~self._is_over, self.snapshots
+        cloths = self._simulations.save()
+        arrays = self._elapsed.copy(), self._is_over.copy(), self._wrenches.copy(), self._flagged.copy()
         try:
-            indices, decoder = np.flatnonzero(is_stepped).tolist(), self._decoder
-            self._simulations.step(indices, checked, decoder, self._frames_per_step, self._store_step)
-            outcome = self._outcome(checked, is_stepped)
-            rewards = np.where(is_stepped, evaluate_outcome("reward", self._reward, outcome, np.float64), 0.0)
-            terminations = evaluate_outcome("terminated", self._terminated, outcome, bool) & is_stepped
+            return self._step(checked)
         except BaseException:
-            self._simulations.snapshots[:] = snapshots
+            self._simulations.restore(cloths)
+            self._elapsed, self._is_over, self._wrenches, self._flagged = arrays
             self._observe(range(self.num_envs))
             raise
-        self._elapsed = outcome.elapsed
+
+    def _step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Step all cloths by checked actions; an exception leaves some of them stepped."""
+        reset_indices = np.flatnonzero(self._is_over).tolist() if self.autoreset_mode is AutoresetMode.NEXT_STEP else []
+        is_stepped = ~self._is_over
+        indices, decoder = np.flatnonzero(is_stepped).tolist(), self._decoder
+        self._simulations.step(indices, actions, decoder, self._frames_per_step, self._store_step)
+        outcome = self._outcome(actions, is_stepped)
+        rewards = np.where(is_stepped, evaluate_outcome("reward", self._reward, outcome, np.float64), 0.0)
+        terminations = evaluate_outcome("terminated", self._terminated, outcome, bool) & is_stepped
+        self._elapsed = self._elapsed + is_stepped
         truncations = np.zeros(self.num_envs, dtype=bool)
         if self._max_steps is not None:
             truncations = (self._elapsed >= self._max_steps) & is_stepped
@@ -221,9 +232,12 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         """Stop the threads; `close` calls it."""
         self._thread_pool.close()
 
-    def _check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
+    def _check_open(self) -> None:
         if self.closed:
             raise RuntimeError("the environment is closed: make another environment")
+
+    def _check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
+        self._check_open()
         if not self._has_begun.all():
             raise RuntimeError("the cloths have no episode yet: call reset() before the first step()")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._is_over.any():
@@ -256,11 +270,12 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
             self._store_state(i, self._simulations.snapshots[i].state)
 
     def _outcome(self, actions: NDArray[np.float32], is_stepped: NDArray[np.bool_]) -> Outcome:
+        # Functions of the user must not write into the environment's arrays, nor into the caller's actions.
         return Outcome(
-            observations=self._observations,
-            actions=actions,
-            wrenches=self._wrenches,
-            elapsed=self._elapsed + is_stepped,
+            observations=_read_only(self._observations),
+            actions=_read_only(actions),
+            wrenches=_read_only(self._wrenches),
+            elapsed=_read_only(self._elapsed + is_stepped),
             states=[snapshot.state for snapshot in self._simulations.snapshots],
         )
 
@@ -284,3 +299,10 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
 
     def _returned_observations(self) -> NDArray[np.float32]:
         return self._observations.copy() if self._copy else self._observations
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a view of an array that can't be written."""
+    view = array.view()
+    view.setflags(write=False)
+    return view

@@ -43,6 +43,26 @@ def exit_on_signal(command: str) -> Iterator[None]:
             signal.signal(signal_number, handler)
 
 
+def _interrupt(_signal_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def interrupt_on_signal() -> Iterator[None]:
+    """Context in which SIGTERM and SIGHUP interrupt as Ctrl-C does, so that the command cleans up.
+
+    A batch system or a supervisor ends commands by SIGTERM. Call from the main thread. Ignored signals stay ignored.
+    """
+    signal_numbers = [signum for signum in _SIGNALS if signal.getsignal(signum) is signal.SIG_DFL]
+    for signal_number in signal_numbers:
+        signal.signal(signal_number, _interrupt)
+    try:
+        yield
+    finally:
+        for signal_number in signal_numbers:
+            signal.signal(signal_number, signal.SIG_DFL)
+
+
 def run_command(command: str, module: str, arguments: Sequence[str] | None) -> int:
     """Import a command's module, run its `main(arguments)` and return its exit status; 130 after KeyboardInterrupt.
 
@@ -57,7 +77,8 @@ def run_command(command: str, module: str, arguments: Sequence[str] | None) -> i
     with exit_on_signal(command):
         main = importlib.import_module(module).main
     try:
-        status: int = main(arguments)
+        with interrupt_on_signal():
+            status: int = main(arguments)
     except KeyboardInterrupt:
         print(f"{command}: interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -10,16 +10,17 @@ from typing import Any
 #: Maximum length of a text [characters]: nested lists take 20 times the memory of their text.
 MAX_TEXT_LENGTH = 8 << 20
 #: Maximum number of values, and of lists and objects among them.
-_MAX_VALUES, _MAX_CONTAINERS = 4_000_000, 1_500_000
+MAX_VALUES, _MAX_CONTAINERS = 4_000_000, 1_500_000
 _MAX_DEPTH = 64
 
 
-def loads(text: str, *, max_length: int = MAX_TEXT_LENGTH, **hooks: Any) -> Any:
+def loads(text: str, *, max_length: int = MAX_TEXT_LENGTH, max_values: int = MAX_VALUES, **hooks: Any) -> Any:
     """Parse untrusted JSON. Raises ValueError if it is invalid or exceeds limits of length, depth or number of values.
 
     Args:
         text: JSON.
         max_length: maximum length of the text [characters].
+        max_values: maximum number of values; if it is above the default, as many lists and objects are accepted.
         hooks: keyword arguments of `json.loads`.
 
     Raises:
@@ -30,8 +31,11 @@ def loads(text: str, *, max_length: int = MAX_TEXT_LENGTH, **hooks: Any) -> Any:
         raise ValueError(f"it has {len(text)} characters, the limit is {max_length}")
     n_containers = text.count("[") + text.count("{")
     n_values = n_containers + text.count(",")
-    if n_containers > _MAX_CONTAINERS or n_values > _MAX_VALUES:
-        raise ValueError(f"it has {n_values} values, the limit is {_MAX_VALUES}")
+    max_containers = _MAX_CONTAINERS if max_values <= MAX_VALUES else max_values
+    if n_containers > max_containers or n_values > max_values:
+        raise ValueError(
+            f"it has {n_values} values, {n_containers} of them lists; the limits are {max_values} and {max_containers}"
+        )
     try:
         content = json.loads(text, **hooks)
     except RecursionError:

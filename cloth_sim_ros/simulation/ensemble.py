@@ -57,6 +57,9 @@ class EnsembleSnapshot:
     """Full contents of all members between two frames, for `Ensemble.restore`; it can be pickled."""
 
     members: tuple[Snapshot, ...]
+    #: Distributed parameters by full name, and the factors of each member.
+    names: tuple[str, ...]
+    factors: list[tuple[float, ...]]
     #: True if the members have their own parameters: after the first frame.
     varied: bool
 
@@ -92,8 +95,8 @@ class Ensemble:
         seed: int = 0,
         threads: int | None = None,
     ) -> None:
-        if members < 0 or members == 1:
-            raise ValueError(f"members is {members}; it must be 0 for sigma points, or at least 2")
+        if isinstance(members, bool) or not isinstance(members, int | np.integer) or members < 0 or members == 1:
+            raise ValueError(f"members is {members!r}; it must be 0 for sigma points, or at least 2")
         distribution.check_members(scene, members, seed)
         self._distribution, self._factors = distribution, distribution.factors(members, seed)
         self._start_values = [distribution.member_values(scene, factors) for factors in self._factors]
@@ -158,16 +161,26 @@ class Ensemble:
 
     def snapshot(self) -> EnsembleSnapshot:
         """Return the full contents of all members, in microseconds a member, for `restore`."""
-        return EnsembleSnapshot(members=tuple(member.snapshot() for member in self._members), varied=self._is_varied)
+        return EnsembleSnapshot(
+            members=tuple(member.snapshot() for member in self._members),
+            names=self._distribution.names,
+            factors=self._factors,
+            varied=self._is_varied,
+        )
 
     def restore(self, snapshot: EnsembleSnapshot) -> None:
         """Restore a snapshot of an ensemble of the same scene and distribution; raise ValueError for another.
 
         Raises:
-            ValueError: for a snapshot of another scene, or another number of members.
+            ValueError: for a snapshot of another scene, distribution, sample or number of members.
         """
         if len(snapshot.members) != self.size:
             raise ValueError(f"the snapshot has {len(snapshot.members)} members, the ensemble {self.size}")
+        if (snapshot.names, snapshot.factors) != (self._distribution.names, self._factors):
+            raise ValueError(
+                f"the snapshot's members vary {', '.join(snapshot.names)} by other factors than this ensemble's; "
+                "restore it in an ensemble of the same distribution, members and seed"
+            )
         for member, saved in zip(self._members, snapshot.members, strict=True):
             saved.check_fits(member.scene)
         self._restore(snapshot.members)

@@ -39,6 +39,15 @@ class Move:
     orientation: Vector | None = attrs.field(default=None, converter=attrs.converters.optional(_floats))
 
 
+def _python_values(value: Any) -> Any:
+    """Return a copy in which numbers and arrays of numpy are plain ones."""
+    if isinstance(value, dict):
+        return {name: _python_values(entry) for name, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return type(value)(map(_python_values, value)) if type(value) in (list, tuple) else value
+
+
 def _names(value: Any) -> tuple[str, ...]:
     return tuple(value)
 
@@ -74,16 +83,19 @@ class Grasp:
 
 @attrs.frozen
 class SetParameters:
-    """Command to change live scene parameters, values by full name such as `air.drag`."""
+    """Command to change live scene parameters, values by full name such as `air.drag`.
 
-    values: dict[str, Any]
+    Numbers and arrays of numpy become plain ones. A later change of the given dict has no effect.
+    """
+
+    values: dict[str, Any] = attrs.field(converter=_python_values)
 
 
 @attrs.frozen
 class Pause:
     """Command to stop simulated time (True), or to resume it (False)."""
 
-    paused: bool
+    paused: bool = attrs.field(converter=bool)
 
 
 @attrs.frozen

@@ -14,7 +14,7 @@ from typing import Any
 
 import attrs
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import normalized, rotated_by, rotation_vector
@@ -182,7 +182,7 @@ class GripperScript:
             waypoints.append(Waypoint(time=time, position=tuple(row[:3]), orientation=orientation))
         grasps = []
         if closed is not None:
-            flags = np.asarray(closed, dtype=np.bool_)
+            flags = _flag_array(closed)
             if flags.shape not in ((), stamps.shape):
                 raise ScriptError(f"closed has the shape {flags.shape}; it must be () or ({stamps.size},)")
             flags = np.broadcast_to(flags, stamps.shape)
@@ -248,6 +248,14 @@ def _number_array(values: ArrayLike, name: str) -> Array:
         index = np.argwhere(~np.isfinite(numbers))[0].tolist()
         raise ScriptError(f"{name} hold {numbers[tuple(index)]} at {index}; all must be finite")
     return numbers
+
+
+def _flag_array(values: ArrayLike) -> NDArray[np.bool_]:
+    """Return truth values: bool, or the numbers 0 and 1."""
+    flags = np.asarray(values)
+    if flags.dtype.kind not in "biuf" or not ((flags == 0) | (flags == 1)).all():
+        raise ScriptError(f"closed is {values!r}; it must be true or false, or 1 or 0")
+    return flags.astype(np.bool_)
 
 
 def _unit_quaternion(numbers: Sequence[float], name: str) -> Vector:

@@ -66,10 +66,15 @@ def pose_scripts(
         if len(names) != 1:
             raise ScriptError(f"the scene has {len(names)} grippers; give poses by name: {{name: poses}}")
         poses = {names[0]: poses}
+    if not poses:
+        raise ScriptError("poses name no gripper; give the poses of at least one")
     by_name = closed if isinstance(closed, Mapping) else dict.fromkeys(poses, closed)
     for name in (*poses, *by_name):
         if name not in names:
             raise ScriptError(f"the scene has no gripper '{name}'; it has {', '.join(names) or 'none'}")
+    for name in by_name:
+        if name not in poses:
+            raise ScriptError(f"closed names the gripper '{name}', which has no poses; give its poses too")
     return [
         GripperScript.from_poses(times, rows, gripper=name, closed=by_name.get(name)) for name, rows in poses.items()
     ]

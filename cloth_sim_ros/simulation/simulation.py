@@ -71,6 +71,10 @@ class Simulation(ExclusiveAccess):
 
     def __init__(self, scene: Scene, state: State | None = None) -> None:
         super().__init__()
+        if not isinstance(scene, Scene):
+            raise ValueError(f"scene is {scene!r}; give a Scene, e.g. by Scene.from_file or Scene.from_parameters")
+        if not isinstance(state, State | None):
+            raise ValueError(f"state is {state!r}; give a State, or None for the scene's")
         self._initial, self.state = starting_states(scene, state)
         self.grippers = bodies.build_grippers(scene, self.state)
         self.obstacles = bodies.build_obstacles(scene, self.state)
@@ -277,8 +281,7 @@ class Simulation(ExclusiveAccess):
                 case Move():
                     assert self.obstacles is not None
                     self.obstacles.set_target(event)
-                case MoveObstacles():
-                    assert self.obstacles is not None
+                case MoveObstacles() if self.obstacles is not None:
                     self.obstacles.set_targets(event)
                 case Grasp():
                     grasped = np.empty(0, dtype=np.int64) if event.closed else self._grasped_particles(event.gripper)

@@ -55,6 +55,11 @@ class Snapshot:
         return self.state.frame * self.scene.period
 
     @property
+    def paused(self) -> bool:
+        """True if time stands still, after the event `Pause`."""
+        return bool(self.state.memory["paused"][0])
+
+    @property
     def positions(self) -> Array:
         """Particle positions [m], a copy of shape (particle_count, 3)."""
         return self.state.positions

@@ -11,12 +11,14 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
 
 from cloth_sim_ros.physics.plan import thread_limit
 
 
-def resolve_worker_count(count: int | None, name: str = "threads") -> int:
+def resolve_worker_count(count: Any, name: str = "threads") -> int:
     """Return a checked number of threads or processes, by default one per available core; raise ValueError below 1.
 
     Args:
@@ -28,9 +30,9 @@ def resolve_worker_count(count: int | None, name: str = "threads") -> int:
     """
     if count is None:
         return len(os.sched_getaffinity(0))
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
         raise ValueError(f"{name} is {count!r}; it must be a whole number of at least 1, or None")
-    return count
+    return int(count)
 
 
 class ThreadPool:

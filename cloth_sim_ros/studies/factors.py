@@ -15,6 +15,10 @@ from cloth_sim_ros.studies.errors import StudyError
 
 #: Limit of the number of values of a list or of `steps`.
 MAX_CHOICES = 1_000_000
+#: Standard deviations of a normal distribution beyond which no sample is.
+_MAX_DEVIATIONS = 9.0
+#: Range of whole numbers in the index.
+_MIN_INTEGER, _MAX_INTEGER = -(2**63), 2**63 - 1
 
 
 @attrs.frozen(kw_only=True)
@@ -124,27 +128,51 @@ def read(name: str, content: Any) -> Factor:
     if len(entries) > MAX_CHOICES:
         raise StudyError(f"vary: '{name}' has {len(entries)} values; at most {MAX_CHOICES}")
     if kind == "choices":
+        for value in entries:
+            if not _is_storable(value):
+                limits = "numbers must be finite, and whole ones from -2^63 to 2^63 - 1"
+                raise StudyError(f"vary: '{name}' has {str(value)[:40]}, which a run's row can't hold; {limits}")
         return Factor(name=name, kind=kind, values=tuple(tuple(v) if isinstance(v, list) else v for v in entries))
     return Factor(name=name, kind=kind, values=_parse_numbers(name, kind, entries))
+
+
+def _is_storable(value: Any) -> bool:
+    """Return True if JSON and an Arrow table can hold a value: null, bool, number, text, or list or dict of them."""
+    if isinstance(value, list):
+        return all(map(_is_storable, value))
+    if isinstance(value, dict):
+        return all(isinstance(key, str) and _is_storable(entry) for key, entry in value.items())
+    if isinstance(value, bool | str | None):
+        return True
+    return isinstance(value, int | float) and _is_in_range(value)
+
+
+def _is_in_range(value: float) -> bool:
+    """Return True for a finite float, and for a whole number of 64 bits."""
+    return _MIN_INTEGER <= value <= _MAX_INTEGER if isinstance(value, int) else math.isfinite(value)
 
 
 def _parse_numbers(name: str, kind: str, entries: list[Any]) -> tuple[Any, ...]:
     n_expected = 3 if kind == "steps" else 2
     is_integer = kind == "integers"
     for value in entries:
-        is_valid = isinstance(value, int) if is_integer else isinstance(value, int | float) and math.isfinite(value)
-        if isinstance(value, bool) or not is_valid:
-            raise StudyError(f"vary: '{name}' has {value!r}; {kind} takes {KINDS[kind][0]}")
+        is_number = isinstance(value, int if is_integer else int | float) and not isinstance(value, bool)
+        if not (is_number and _is_in_range(value)):
+            raise StudyError(f"vary: '{name}' has {str(value)[:40]}; {kind} takes {KINDS[kind][0]}")
     if len(entries) != n_expected:
         raise StudyError(f"vary: '{name}' has {len(entries)} numbers, {entries}; {kind} takes {KINDS[kind][0]}")
     low, high = entries[:2]
     if kind == "normal":
         if high <= 0:
             raise StudyError(f"vary: '{name}' has the standard deviation {high}; it must be above 0")
+        if not math.isfinite(abs(float(low)) + _MAX_DEVIATIONS * float(high)):
+            raise StudyError(f"vary: '{name}' has the standard deviation {high}, beyond a double's range")
         return tuple(entries)
     if not low < high:
         order = "the lowest comes first and is below the highest (a single value belongs into 'parameters')"
         raise StudyError(f"vary: '{name}' has the empty range from {low} to {high}; {order}")
+    if not math.isfinite(float(high) - float(low)):
+        raise StudyError(f"vary: '{name}' has the range from {low} to {high}, whose width is beyond a double's range")
     if kind == "log_uniform" and low <= 0:
         raise StudyError(f"vary: '{name}' has the lowest value {low}; log_uniform takes {KINDS[kind][0]}")
     if kind == "steps" and not (isinstance(entries[2], int) and 2 <= entries[2] <= MAX_CHOICES):

@@ -4,6 +4,8 @@
 
 study.json: the checked study. Workers need it, files/ and samples.json.
 
+package.json: the code that began the study.
+
 runs/000/run_0000123.mcap: session of a run.
 
 rows/000/0000123.json: row of a run, written last. A run with a row is finished.
@@ -19,23 +21,30 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.session import plain_json
+from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.studies.errors import StudyError, folder_error
 from cloth_sim_ros.studies.study import Study
 
 #: Limit of files per folder, because file systems slow down with many files.
 _FILES_PER_FOLDER = 1000
 _PARTIAL_PREFIX = ".unfinished-"
+#: What `create` writes before study.json.
+_CREATED_NAMES = {"files", "runs", "rows", "study.yaml", "samples.json", "package.json"}
+#: Entries of package.json that decide about bits.
+_CODE_NAMES = ("numerics", "source")
 #: Remedy for an unreadable file of the study.
 _BROKEN = "; the study can't continue with it: restore the file, or start in another folder"
-#: Limit of the size of samples.json [bytes].
-_MAX_SAMPLES = 1 << 26
+#: Least limit of the size of the study's own JSON files [bytes].
+_MAX_JSON = 1 << 26
+#: Length of a number in JSON with its separator, at most [characters].
+_NUMBER_LENGTH = 27
 #: Keys of a row, and their types.
 _ROW_TYPES: dict[str, type | tuple[type, ...]] = {
     "run": int,
@@ -99,18 +108,32 @@ class StudyFolder:
         if self.study_file.is_file():
             self.check_same(study)
             return
-        if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+        if len(content) > input_file.MAX_TEXT:
+            cause = (
+                f"the study takes {len(content)} bytes, with lists, policy and outcomes; at most {input_file.MAX_TEXT}"
+            )
+            raise StudyError(f"{cause} are possible: shorten them, or give a distribution instead of a list")
+        if self.path.exists() and not (self.path.is_dir() and self.is_incomplete()):
             raise StudyError(f"{self.path} exists already and holds no study; choose a new folder")
         try:
-            for name in ("files", "runs", "rows"):
+            for name in ("runs", "rows", "files"):
                 (self.path / name).mkdir(parents=True, exist_ok=True)
             for data in study.files.values():
                 self.write(self.path / "files" / _content_name(data), data)
             self.write(self.path / "study.yaml", text.encode())
             self.write(self.path / "samples.json", json.dumps([list(values) for values in samples]).encode())
+            self.write(self.path / "package.json", json.dumps(_package()).encode())
             self.write(self.study_file, content.encode())
         except OSError as error:
             raise folder_error(self.path, error) from error
+
+    def is_incomplete(self) -> bool:
+        """Return True if the folder is empty, or its creation was interrupted; it has no study and no results then."""
+        if self.study_file.exists():
+            return False
+        names = {path.name for path in self.path.iterdir() if not path.name.startswith(_PARTIAL_PREFIX)}
+        has_results = any(any((self.path / name).glob("*/*")) for name in ("runs", "rows"))
+        return names <= _CREATED_NAMES and not has_results
 
     def check_same(self, study: Study) -> None:
         """Raise StudyError, with the differing entries, if the folder holds another study.
@@ -123,6 +146,23 @@ class StudyFolder:
         if differing:
             names = ", ".join(differing)
             raise StudyError(f"{self.path} holds another study: it differs in {names}; choose another folder")
+
+    def check_package(self) -> None:
+        """Refuse a folder whose study was begun by other code, whose bits may differ; older folders do not name it.
+
+        Raises:
+            StudyError: if the code differs; the text names both versions.
+        """
+        path = self.path / "package.json"
+        if not path.is_file():
+            return
+        begun, present = self._read_json(path, dict), _package()
+        if any(begun.get(name) != present[name] for name in _CODE_NAMES):
+            versions = [", ".join(f"{name} {package.get(name)}" for name in present) for package in (begun, present)]
+            cause = (
+                f"{self.path} was begun by cloth_sim_ros {versions[0]}; here is {versions[1]}, whose bits may differ"
+            )
+            raise StudyError(f"{cause}: continue with the former version, or start in another folder")
 
     @staticmethod
     def canonical_text(study: Study) -> str:
@@ -161,26 +201,38 @@ class StudyFolder:
             StudyError: if the file is unreadable, or its shape does not match the study.
         """
         path = self.path / "samples.json"
-        rows = self._read_json(path, list)
+        # The study bounds the file: a value of a list is as long as its longest one, any other is a number.
+        texts = [[json.dumps(value) for value in factor.values] for factor in study.factors if factor.kind == "choices"]
+        length = 4 + _NUMBER_LENGTH * len(study.factors) + sum(max(map(len, values)) for values in texts)
+        n_values = (
+            1 + len(study.factors) + sum(max(sum(map(value.count, ",[{")) for value in values) for values in texts)
+        )
+        rows = self._read_json(path, list, max_bytes=study.runs * length, max_values=study.runs * n_values)
         if len(rows) != study.runs or any(not isinstance(v, list) or len(v) != len(study.factors) for v in rows):
             raise StudyError(f"{path} does not hold the values of {study.runs} runs{_BROKEN}")
         return [tuple(tuple(v) if isinstance(v, list) else v for v in values) for values in rows]
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield the rows of results of all finished runs, in their order; unreadable rows are skipped."""
+    def rows(self, *, omit: Container[str] = ()) -> Iterator[dict[str, Any]]:
+        """Yield the rows of results of all finished runs, in their order; unreadable rows are skipped.
+
+        Args:
+            omit: names of row files that are not read.
+        """
         for path in sorted((self.path / "rows").glob("*/*.json")):
-            row = read_row(path)
+            row = None if path.name in omit else read_row(path)
             if row is not None:
                 yield row
 
-    def _read_json(self, path: Path, kind: type) -> Any:
+    def _read_json(self, path: Path, kind: type, *, max_bytes: int = 0, max_values: int = 0) -> Any:
         """Return the JSON content of one of the study's files. Raises StudyError unless it is of type `kind`.
 
         Raises:
             StudyError: if the file is unreadable or has another type of content.
         """
         try:
-            content = plain_json.loads(input_file.read_text(path, max_bytes=_MAX_SAMPLES), max_length=_MAX_SAMPLES)
+            max_bytes, max_values = max(max_bytes, _MAX_JSON), max(max_values, plain_json.MAX_VALUES)
+            text = input_file.read_text(path, max_bytes=max_bytes)
+            content = plain_json.loads(text, max_length=max_bytes, max_values=max_values)
         except (OSError, ValueError) as error:
             raise StudyError(f"{path} can't be read: {error}{_BROKEN}") from error
         if not isinstance(content, kind):
@@ -252,6 +304,12 @@ def read_row(path: Path) -> dict[str, Any] | None:
     if not isinstance(row, dict) or not row.keys() >= _ROW_TYPES.keys() or row["run"] != run:
         return None
     return row if all(isinstance(row[name], kinds) for name, kinds in _ROW_TYPES.items()) else None
+
+
+def _package() -> dict[str, str]:
+    """Return version, arithmetic and digest of this code."""
+    record = environment()
+    return {name: record[name] for name in ("version", *_CODE_NAMES)}
 
 
 def _content_name(data: bytes) -> str:

@@ -19,6 +19,8 @@ from cloth_sim_ros.studies.errors import StoppedError, StudyError
 #: Exit statuses: every run was successful; a run failed, or the study stopped; bad input; interrupted.
 SUCCESS, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 _COMMANDS = ("check", "view", "export")
+#: Default rows of a table, and default description of a dataset's task.
+_TABLE_ROWS, _TASK = 20, "move the cloth"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -48,7 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"cloth_batch: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
         return REFUSED
     except KeyboardInterrupt:
-        print("cloth_batch: interrupted; finished runs are kept; continue with --resume", file=sys.stderr)
+        remedy = "; finished runs are kept; continue with --resume" if name == "run" else ""
+        print(f"cloth_batch: interrupted{remedy}", file=sys.stderr)
         return INTERRUPTED
     return status
 
@@ -96,7 +99,7 @@ def _view_parser() -> argparse.ArgumentParser:
     parser.add_argument("--outcome", metavar="NAME", help="outcome of the plot, and order of the table")
     parser.add_argument("--over", metavar="NAME", help="factor on the plot's x axis")
     parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot the outcome over the factor")
-    parser.add_argument("--rows", type=_positive, default=20, metavar="N", help="rows of the table (default: 20)")
+    parser.add_argument("--rows", type=_positive, metavar="N", help=f"rows of the table (default: {_TABLE_ROWS})")
     parser.add_argument("--run", type=int, dest="number", metavar="K", help="open one run in Rerun")
     parser.add_argument("--save", type=Path, metavar="OUT.rrd", help="with --run: write the recording instead")
     parser.set_defaults(run=_view)
@@ -112,7 +115,7 @@ def _export_parser() -> argparse.ArgumentParser:
     kind.add_argument("--lerobot", type=Path, metavar="OUT", help="LeRobotDataset v3.0: one episode per run")
     kind.add_argument("--mcap", type=Path, metavar="OUT", help="sessions with clouds, also if the study omitted them")
     parser.add_argument("--video", action="store_true", help="with --lerobot: also render each run (slow)")
-    parser.add_argument("--task", default="move the cloth", help="with --lerobot: description of the task")
+    parser.add_argument("--task", help=f"with --lerobot: description of the task (default: {_TASK})")
     parser.set_defaults(run=_export)
     return parser
 
@@ -157,12 +160,18 @@ def _view(options: argparse.Namespace) -> int:
         raise StudyError("--plot draws an outcome over a factor: it needs --outcome and --over")
     if options.save is not None and options.number is None:
         raise StudyError("--save writes one run: it needs --run")
+    opens_run, of_table = options.number is not None, ("outcome", "over", "plot", "rows")
+    unused = [f"--{name}" for name in of_table if opens_run and getattr(options, name) is not None]
+    unused += ["--rows"] if options.plot is not None and options.rows is not None else []
+    if unused:
+        shown = "--run opens one run" if opens_run else "--plot draws every run"
+        raise StudyError(f"{shown}: it takes no {unused[0]}")
     return view(
         options.folder,
         outcome=options.outcome,
         over=options.over,
         plot=options.plot,
-        rows=options.rows,
+        rows=options.rows or _TABLE_ROWS,
         run=options.number,
         save=options.save,
     )
@@ -174,11 +183,15 @@ def _export(options: argparse.Namespace) -> int:
 
     if options.video and options.lerobot is None:
         raise StudyError("--video goes into a LeRobot dataset: it needs --lerobot")
+    if options.task is not None and options.lerobot is None:
+        raise StudyError("--task describes a LeRobot dataset: it needs --lerobot")
     if options.zarr is not None:
         return datasets.to_zarr(options.folder, options.zarr)
     if options.mcap is not None:
         return datasets.to_mcap(options.folder, options.mcap)
-    return datasets.to_lerobot(options.folder, options.lerobot, task=options.task, video=options.video)
+    return datasets.to_lerobot(
+        options.folder, options.lerobot, task=_TASK if options.task is None else options.task, video=options.video
+    )
 
 
 def _positive(text: str) -> int:

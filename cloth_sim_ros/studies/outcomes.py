@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -102,27 +103,33 @@ class OutcomeRecorder:
         Raises:
             OutcomeError: if a function fails; the text names it.
         """
-        simulation = self._simulation
-        finished = Finished(
-            times=np.array(self._times),
-            wrenches=np.array(self._wrenches).reshape(len(self._times), -1, 6),
-            initial=self._initial,
-            positions=simulation.positions,
-            velocities=simulation.velocities,
-            values=dict(values),
-        )
         results: dict[str, Any] = {}
         for reference, function in functions.items():
             try:
-                answer = function(finished)
+                # Each function has its own arrays, in which it may write.
+                answer = function(self._finished(values))
             except USER_ERRORS as error:
                 raise OutcomeError(f"outcome '{reference}' raised {format_error(error)}") from error
             answers = answer if isinstance(answer, Mapping) else {reference.rpartition(":")[2]: answer}
             for name, value in answers.items():
                 if name in BUILT_IN or name in OF_ENSEMBLE:
                     raise OutcomeError(f"outcome '{reference}' gives '{name}', which every run has; rename it")
+                if str(name) in results:
+                    raise OutcomeError(f"outcome '{reference}' gives '{name}', which another outcome gives; rename one")
                 results[str(name)] = _to_float(reference, str(name), value)
         return results
+
+    def _finished(self, values: dict[str, Any]) -> Finished:
+        """Return the finished run for one outcome function, in arrays of its own."""
+        simulation = self._simulation
+        return Finished(
+            times=np.array(self._times),
+            wrenches=np.array(self._wrenches).reshape(len(self._times), -1, 6),
+            initial=self._initial.copy(),
+            positions=simulation.positions,
+            velocities=simulation.velocities,
+            values=dict(values),
+        )
 
 
 def _deviations(ensemble: EnsembleFrame) -> dict[str, float]:
@@ -136,6 +143,10 @@ def _largest(vectors: Any) -> float:
 def _to_float(reference: str, name: str, value: Any) -> Any:
     if isinstance(value, bool | np.bool_):
         return float(value)
-    if isinstance(value, numbers.Real) and np.isfinite(float(value)):
-        return float(value)
+    try:
+        converted = float(value) if isinstance(value, numbers.Real) else math.nan
+    except OverflowError:
+        converted = math.inf
+    if math.isfinite(converted):
+        return converted
     raise OutcomeError(f"outcome '{reference}' gives {value!r} for '{name}'; it must be a finite number")

@@ -30,7 +30,7 @@ ENTRIES = {
     "parameters": "parameters by full name, which replace the scene's",
     "scripts": "scripted grasps, as cloth_gripper plays them, one for each gripper",
     "policy": "file.py:name or module:name, called each frame instead of scripts",
-    "duration": "simulated time of a run [s]; by default that of the longest script",
+    "duration": "simulated time of a run [s]; by default that of the longest script, its last grasp included",
     "vary": "factors by name: a list of values or a distribution",
     "runs": "number of runs; by default all combinations of a grid",
     "seed": "a whole number, by default 0",
@@ -190,7 +190,10 @@ def _duration(value: Any, scripts: Sequence[GripperScript], scene: Scene) -> flo
     if value is None:
         if not scripts:
             raise StudyError("'duration' is missing: a study without scripts needs it [s]")
-        return max(script.duration for script in scripts)
+        # A grasp takes effect in the first frame that starts at its time or later.
+        grasps = [grasp for script in scripts for grasp in script.grasps]
+        grasp_ends = [(math.ceil(grasp.time / scene.period - 1e-9) + 1) * scene.period for grasp in grasps]
+        return max([*(script.duration for script in scripts), *grasp_ends])
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise StudyError(f"duration is {value!r}; it must be a number of seconds")
     if not scene.period <= value <= _MAX_DURATION:

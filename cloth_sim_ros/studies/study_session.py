@@ -58,24 +58,29 @@ def run_study(
 
     study = study_file.read(path)
     study_folder = StudyFolder(out)
-    rows = _finished_rows(study_folder, study, resume, retry_failed)
-    count = workers or core_count()
-    if study_folder.study_file.is_file():
-        samples = study_folder.samples(study)
-        estimate = estimate_study(study, samples)
-    else:
-        samples, estimate = sample_and_estimate(study, count)
-        check_disk_space(study_folder.path, study, estimate)
-        study_folder.create(study, samples, input_file.read_text(path))
-    remaining = [run for run in range(study.runs) if run not in rows]
-    if rows:
-        tqdm.write(f"{len(rows)} of {study.runs} runs are finished, {len(remaining)} are left")
-    elif scheduler is None:
-        tqdm.write(f"{study.runs} runs take {estimate.describe(study.runs, count)}")
-    start, n_before = time.perf_counter(), len(rows)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(study_folder.lock())
+        if study_folder.study_file.is_file():
+            stack.enter_context(study_folder.lock())
+        rows = _finished_rows(study_folder, study, resume, retry_failed)
+        count = workers or core_count()
+        if study_folder.study_file.is_file():
+            samples = study_folder.samples(study)
+            estimate = estimate_study(study, samples)
+        else:
+            samples, estimate = sample_and_estimate(study, count)
+            check_disk_space(study_folder.path, study, estimate)
+            study_folder.create(study, samples, input_file.read_text(path))
+            stack.enter_context(study_folder.lock())
+        remaining = [run for run in range(study.runs) if run not in rows]
+        if rows:
+            tqdm.write(f"{len(rows)} of {study.runs} runs are finished, {len(remaining)} are left")
+        elif scheduler is None:
+            tqdm.write(f"{study.runs} runs take {estimate.describe(study.runs, count)}")
+        start, n_before = time.perf_counter(), len(rows)
         study_folder.remove_leftovers()
+        if remaining:
+            # A killed client leaves no index, so that readers build it from the rows.
+            study_folder.index_file.unlink(missing_ok=True)
         # The stack closes in reverse order: stop the cluster, remove incomplete files, write the index.
         stack.callback(_write_index, study_folder, rows)
         stack.callback(study_folder.remove_leftovers)
@@ -99,7 +104,12 @@ def run_study(
 
 
 def _write_index(study_folder: StudyFolder, rows: dict[int, dict[str, Any]]) -> None:
-    """Write the index; a full disk is ignored here, because the error that stopped the study reports it."""
+    """Write the index of all rows, also of runs that finished unnoticed before an interrupt.
+
+    A full disk is ignored here, because the error that stopped the study reports it.
+    """
+    known_files = {study_folder.row_file(run).name for run in rows}
+    rows.update({int(row["run"]): row for row in study_folder.rows(omit=known_files)})
     with contextlib.suppress(FolderError):
         index.write(study_folder, rows.values())
 
@@ -113,8 +123,10 @@ def _finished_rows(
         StudyError: if the folder belongs to another study, or has results and `resume` is false.
     """
     if not study_folder.study_file.is_file():
-        if resume and study_folder.path.exists() and any(study_folder.path.iterdir()):
-            raise StudyError(f"{study_folder.path} holds no study to resume: study.json is missing; omit --resume")
+        if resume and study_folder.path.is_dir() and not study_folder.is_incomplete():
+            raise StudyError(
+                f"{study_folder.path} holds no study to resume: study.json is missing; choose a new folder"
+            )
         return {}
     study_folder.check_same(study)
     rows = {int(row["run"]): row for row in study_folder.rows()}
@@ -122,6 +134,8 @@ def _finished_rows(
         cause = f"{study_folder.path} holds {len(rows)} of {study.runs} runs of this study"
         raise StudyError(f"{cause}; continue with --resume, or start in another folder")
     repeated = [run for run, row in rows.items() if row["status"] == KILLED or (retry_failed and row["status"] != OK)]
+    if len(rows) - len(repeated) < study.runs:
+        study_folder.check_package()
     for run in repeated:
         study_folder.row_file(run).unlink(missing_ok=True)
         del rows[run]

@@ -108,7 +108,7 @@ def load_function(source: FunctionSource, role: str) -> Callable[..., Any]:
     """
     location, _, name = source.reference.rpartition(":")
     try:
-        module = _module(location, source.text) if source.text else importlib.import_module(location)
+        module = _module(location, source.text) if location.endswith(".py") else importlib.import_module(location)
     except USER_ERRORS as error:
         raise StudyError(f"{role} '{source.reference}' can't be imported: {format_error(error)}") from error
     function = getattr(module, name, None)

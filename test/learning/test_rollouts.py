@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cloth_sim_ros import Grasp, Scene, SetParameters, Simulation, Target
+from cloth_sim_ros import Grasp, Pause, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.batch import rollouts
 
 SCENE = Scene.from_parameters({"cloth.resolution": [5, 6], "tolerance": 1e-3, "grippers": ["left", "right"]})
@@ -110,3 +110,18 @@ def test_empty_rollouts_have_empty_results(held: Simulation) -> None:
         assert rollouts(held.snapshot(), np.zeros((0, 3, 2, 4)), **workers).positions.shape == (0, 3, 30, 3)
     still = rollouts(held.snapshot(), np.zeros((2, 0, 2, 4)))
     assert still.ends[1].state.digest() == held.state.digest()
+
+
+def test_snapshot_must_be_of_a_running_simulation(held: Simulation) -> None:
+    acts = random_actions(held)
+    with pytest.raises(ValueError, match=r"give one of a simulation, simulation\.snapshot\(\)"):
+        rollouts(held, acts)  # type: ignore[arg-type]
+    paused = Simulation(held.scene)
+    paused.advance([Pause(True)])
+    with pytest.raises(ValueError, match="the snapshot is of a paused simulation"):
+        rollouts(paused.snapshot(), acts)
+
+
+def test_number_of_threads_may_be_of_numpy(held: Simulation) -> None:
+    acts = random_actions(held)[:2, :2]
+    assert rollouts(held.snapshot(), acts, threads=np.int64(2)).positions.shape[:2] == (2, 2)  # type: ignore[arg-type]

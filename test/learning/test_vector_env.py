@@ -19,7 +19,7 @@ gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
 
-from cloth_sim_ros import Grasp, Scene, Simulation, Target  # noqa: E402
+from cloth_sim_ros import Grasp, Pause, Scene, Simulation, Target  # noqa: E402
 from cloth_sim_ros.batch import ClothEnv, ClothVectorEnv, Outcome  # noqa: E402
 from cloth_sim_ros.learning.registered import NAME, STEPS  # noqa: E402
 
@@ -298,6 +298,63 @@ def test_closed_environment_is_refused(make) -> None:
     cloths.close()
     with pytest.raises(RuntimeError, match="the environment is closed"):
         cloths.step(bad(0.0))
+    with pytest.raises(RuntimeError, match="the environment is closed"):
+        cloths.reset()
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_failed_autoreset_undoes_the_whole_step(make, mode: str) -> None:
+    failing: list[bool] = []
+
+    def randomise(rng: np.random.Generator, scene: Scene) -> dict[str, float]:
+        if failing:
+            raise RuntimeError("no parameters")
+        return {"material.density": 0.2}
+
+    cloths = make(2, randomise=randomise, max_episode_steps=2, autoreset_mode=mode, threads=1)
+    reference = make(2, randomise=randomise, max_episode_steps=2, autoreset_mode=mode, threads=1)
+    commands = actions(cloths, 6)[:, :2]
+    for environment in (cloths, reference):
+        environment.reset(seed=1)
+    for step, command in enumerate(commands):
+        failing[:] = [True]
+        try:
+            answer = cloths.step(command)
+        except RuntimeError:
+            failing.clear()
+            answer = cloths.step(command)
+        failing.clear()
+        expected = reference.step(command)
+        assert _equal(answer, expected), step
+
+
+@pytest.mark.parametrize("name", ["observations", "positions", "actions", "wrenches", "elapsed"])
+def test_reward_cannot_write_its_outcome(make, name: str) -> None:
+    def reward(outcome: Outcome) -> np.ndarray:
+        getattr(outcome, name)[:] = 0
+        return np.zeros(COUNT)
+
+    cloths = make(reward=reward)
+    cloths.reset()
+    commands = actions(cloths, 1)[0]
+    with pytest.raises(ValueError, match="read-only"):
+        cloths.step(commands)
+    assert commands.flags.writeable
+
+
+def test_seeds_of_numpy_are_taken_and_bad_ones_refused(make) -> None:
+    cloths = make()
+    cloths.reset(seed=np.arange(COUNT))
+    assert cloths.np_random_seed == tuple(range(COUNT))
+    for seed in ([7, 7, 7, -1, 7], [7, 7, 7, 1.5, 7], "12345", 1.5):
+        with pytest.raises(ValueError, match="seed"):
+            cloths.reset(seed=seed)
+        assert cloths.np_random_seed == tuple(range(COUNT))
+
+
+def test_paused_start_is_refused() -> None:
+    with pytest.raises(ValueError, match="prepare left the simulation paused"):
+        ClothVectorEnv(scene=SCENE, prepare=lambda simulation: simulation.advance([Pause(True)]))
 
 
 def test_randomised_scene_must_have_same_shape(make) -> None:

@@ -166,3 +166,35 @@ def test_failing_member_leaves_all_as_they_were() -> None:
             ensemble.advance([SetParameters({"contact.thickness": 0.95})])
         assert (ensemble.frame, ensemble.positions.tobytes()) == (1, before)
         assert ensemble.advance().index == 2
+
+
+def test_snapshot_of_other_distribution_is_refused() -> None:
+    scene = scene_of()
+    with Ensemble(scene, vary(air__drag=0.3), threads=1) as ensemble:
+        ensemble.advance()
+        saved = pickle.loads(pickle.dumps(ensemble.snapshot()))
+        ensemble.restore(saved)
+    for distribution, options in ((vary(air__drag=0.2), {}), (vary(material__density=0.3), {}), (TWO, {"members": 2})):
+        with Ensemble(scene, distribution, threads=1, **options) as ensemble:
+            before = ensemble.positions.tobytes()
+            with pytest.raises(
+                ValueError, match="restore it in an ensemble of the same distribution, members and seed"
+            ):
+                ensemble.restore(saved)
+            assert ensemble.positions.tobytes() == before
+
+
+@pytest.mark.parametrize("members", [2.5, True, "4", -1, 1])
+def test_bad_number_of_members_is_refused(members: Any) -> None:
+    with pytest.raises(ValueError, match="it must be 0 for sigma points, or at least 2"):
+        Ensemble(scene_of(), TWO, members=members)
+
+
+def test_numpy_value_scales_as_its_double() -> None:
+    ends = []
+    for drag in (np.float32(0.3), float(np.float32(0.3))):
+        with Ensemble(scene_of(), TWO, threads=1) as ensemble:
+            ensemble.advance([SetParameters({"air.drag": drag})])
+            ensemble.advance()
+            ends.append(ensemble.positions.tobytes())
+    assert ends[0] == ends[1]

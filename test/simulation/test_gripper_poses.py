@@ -143,3 +143,17 @@ def test_table_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_bytes(b"\xff\xfe")
     with pytest.raises(ScriptError, match="no text in UTF-8"):
         GripperScript.from_file(tmp_path / "poses.csv")
+
+
+def test_closed_gripper_without_poses_is_refused() -> None:
+    cloth = simulation(grippers=["left", "right"])
+    with pytest.raises(ScriptError, match="closed names the gripper 'right', which has no poses"):
+        cloth.play(TIMES, {"left": POSES}, closed={"right": True})
+    with pytest.raises(ScriptError, match="poses name no gripper"):
+        cloth.play(TIMES, {})
+
+
+@pytest.mark.parametrize("closed", ["no", math.nan, [0.0, 0.4, 1.0], [None, True, False], ["true"] * 3])
+def test_closed_that_is_no_truth_value_is_refused(closed: Any) -> None:
+    with pytest.raises(ScriptError, match="it must be true or false, or 1 or 0"):
+        simulation().play(TIMES, POSES, closed=closed)

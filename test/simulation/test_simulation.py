@@ -14,6 +14,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import (
     Grasp,
+    MoveObstacles,
     Pause,
     Reset,
     SetParameters,
@@ -318,3 +319,41 @@ def test_fixed_step_above_grip_limit_fails_with_limit():
     with pytest.raises(UnstableError, match=r"step 0.0009 s is above the stability limit"):
         simulation.advance([Target("left", corner(simulation)), Grasp("left", True)])
     assert simulation.state.digest() == before
+
+
+def test_pause_of_any_truth_value_is_a_bool():
+    digests = set()
+    for paused in (True, 1, np.bool_(True)):
+        simulation = Simulation(small())
+        simulation.advance([Pause(paused)])
+        assert simulation.paused
+        assert from_dict(json.loads(json.dumps(to_dict(Pause(paused))))) == Pause(True)
+        digests.add(simulation.state.digest())
+    assert len(digests) == 1
+
+
+def test_parameters_of_event_are_plain_and_independent():
+    wind = np.array([1.0, 0.0, 0.0])
+    values = {"wind.velocity": wind, "air.drag": np.float32(0.5), "gravity": [np.float32(0.5), 0.0, -9.0]}
+    event = SetParameters(values)
+    text = json.dumps(to_dict(event))
+    wind[:] = 5.0
+    values["air.drag"] = 2.0
+    assert json.dumps(to_dict(event)) == text
+    assert from_dict(json.loads(text)) == event
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"), [(({},), "scene is {}; give a Scene"), ((None, 3), "state is 3; give")]
+)
+def test_simulation_of_something_else_is_refused(arguments, words):
+    scene, *state = arguments
+    with pytest.raises(ValueError, match=words):
+        Simulation(small() if scene is None else scene, *state)
+
+
+def test_no_obstacle_moves_in_scene_without_any():
+    simulation, reference = Simulation(small()), Simulation(small())
+    simulation.advance([MoveObstacles([], np.empty((0, 7)))])
+    reference.advance()
+    assert simulation.state.digest() == reference.state.digest()

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 from pathlib import Path
 
@@ -192,6 +193,15 @@ def test_full_disk_names_folder_and_leaves_no_files(tmp_path: Path, monkeypatch,
         ({"vary": {"air.drag": {"unifrom": [0.0, 0.5]}}}, "did you mean 'uniform'"),
         ({"vary": {"air.drag": {"log_uniform": [0.0, 0.5]}}}, "both above 0"),
         ({"vary": {"air.drag": {"normal": [0.1, 0.0]}}}, "standard deviation 0.0"),
+        (
+            {"vary": {"target.gripper.z": [float("nan")]}},
+            "has nan, which a run's row can't hold; numbers must be finite",
+        ),
+        ({"vary": {"target.gripper.z": [0.1, 2**63]}}, "whole ones from"),
+        ({"vary": {"target.gripper.z": [datetime.date(2026, 1, 1)]}}, "has 2026-01-01, which"),
+        ({"vary": {"target.gripper.z": {"integers": [0, 2**63]}}}, "has 9223372036854775808; integers takes"),
+        ({"vary": {"target.gripper.z": {"uniform": [-1.5e308, 1.5e308]}}}, "beyond a double's range"),
+        ({"vary": {"target.gripper.z": {"normal": [0.0, 1e308]}}}, "beyond a double's range"),
         ({"vary": {"cloth.size[2]": [1.0]}}, "has the entries 0 to 1"),
         ({"vary": {"target.griper.z": [0.1]}}, "did you mean 'gripper'"),
         ({"vary": {"target.gripper.9.z": [0.1]}}, "positions 1 to"),
@@ -377,3 +387,88 @@ def test_session_metadata_names_run(tmp_path: Path) -> None:
     with SessionReader([study_folder.path / row["session"]]) as reader:
         assert reader.missing is None
         assert reader.metadata["session"] == "run_0000000"
+
+
+OUTCOMES = """\
+def moved(run):
+    positions = run.positions
+    positions -= run.initial
+    run.values["air.drag"] = 9.0
+    return float(abs(positions).max())
+
+def mean_of(run):
+    return {"mean": run.positions[:, 2].mean(), "drag": run.values["air.drag"], "first": run.initial[0, 2]}
+
+def same(run):
+    return {"moved": 1.0}
+
+def huge(run):
+    return 10**400
+"""
+
+
+def outcome_study(folder: Path, *names: str):
+    (folder / "outcomes.py").write_text(OUTCOMES)
+    outcomes = [f"outcomes.py:{name}" for name in names]
+    return study_of(folder, outcomes=outcomes, runs=1, duration=0.1, vary={"air.drag": [0.2]})
+
+
+def performed_row(folder: Path, study) -> dict:
+    study_folder, samples = create_study(folder, study)
+    return perform(study_folder, study, 0, samples[0])
+
+
+def test_outcome_functions_share_no_arrays(tmp_path: Path) -> None:
+    alone = performed_row(tmp_path / "alone", outcome_study(tmp_path, "mean_of"))["outcomes"]
+    after = performed_row(tmp_path / "after", outcome_study(tmp_path, "moved", "mean_of"))["outcomes"]
+    assert after.pop("moved") > 0.0
+    assert after == alone
+
+
+@pytest.mark.parametrize(
+    ("names", "words"), [(("moved", "same"), "gives 'moved', which another"), (("huge",), "it must be a finite number")]
+)
+def test_bad_outcome_fails_its_run(tmp_path: Path, names: tuple[str, ...], words: str) -> None:
+    row = performed_row(tmp_path / "out", outcome_study(tmp_path, *names))
+    assert row["status"] == "failed"
+    assert words in row["error"]
+
+
+def test_policy_may_return_numpy_parameters(tmp_path: Path) -> None:
+    (tmp_path / "drag.py").write_text(
+        "import numpy as np\nfrom cloth_sim_ros import SetParameters\n\ndef policy(seen):\n"
+        "    return SetParameters({'air.drag': np.float32(0.3), 'wind.velocity': [np.float32(0.1), 0.0, 0.0]})\n"
+    )
+    study = study_of(tmp_path, scripts=None, policy="drag.py:policy", runs=1, duration=0.1, vary={})
+    row = performed_row(tmp_path / "out", study)
+    assert row["status"] == "ok", row["error"]
+    assert verify([tmp_path / "out" / row["session"]]).same
+
+
+def test_default_duration_includes_last_grasp(tmp_path: Path) -> None:
+    steps = [{"time": 0.0, "position": [0.5, 0.0, 1.0]}, {"time": 0.205, "close": True}]
+    (tmp_path / "late.yaml").write_text(json.dumps({"steps": steps}))
+    study = study_of(tmp_path, scripts="late.yaml", duration=None, runs=1, vary={})
+    row = performed_row(tmp_path / "out", study)
+    assert row["frames"] == 14
+    assert row["outcomes"]["held"] > 0.0
+
+
+def test_empty_policy_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "empty.py").write_text("")
+    with pytest.raises(StudyError, match=r"'empty\.py' has no function 'policy'; it has none"):
+        study_of(tmp_path, scripts=None, policy="empty.py:policy")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["view", "--run", "0", "--outcome", "held"], "--run opens one run: it takes no --outcome"),
+        (["view", "--run", "0", "--rows", "3"], "it takes no --rows"),
+        (["view", "--plot", "a.png", "--outcome", "held", "--over", "run", "--rows", "3"], "it takes no --rows"),
+        (["export", "--zarr", "out.zarr", "--task", "lift"], "--task describes a LeRobot dataset"),
+    ],
+)
+def test_option_without_effect_is_refused(tmp_path: Path, capsys, arguments: list[str], words: str) -> None:
+    assert main([arguments[0], str(tmp_path), *arguments[1:]]) == 2
+    assert words in capsys.readouterr().err

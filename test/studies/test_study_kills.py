@@ -37,6 +37,7 @@ STUDY = {
     "runs": 4,
     "vary": {"material.density": {"uniform": [0.1, 0.3]}},
 }
+PROGRAM = "import sys; from cloth_sim_ros.studies.command import main; sys.exit(main())"
 
 
 def test_runs_of_killed_worker_repeat_with_same_digests(tmp_path: Path) -> None:
@@ -69,18 +70,19 @@ def test_runs_of_killed_worker_repeat_with_same_digests(tmp_path: Path) -> None:
     assert [row["run"] for row in killed_study.rows()] == [0, 1, 2, 3]
 
 
-def test_ctrl_c_stops_study_with_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM], ids=["ctrl_c", "sigterm"])
+def test_signal_stops_study_with_one_line(tmp_path: Path, signal_number: signal.Signals) -> None:
     (tmp_path / "slow.py").write_text("import time\n\ndef wait(seen):\n    time.sleep(0.02)\n")
     study = {**STUDY, "scripts": [], "policy": "slow.py:wait", "duration": 0.5, "runs": 100, "clouds": False}
     (tmp_path / "study.yaml").write_text(json.dumps(study))
-    command = [sys.executable, "-m", "cloth_sim_ros.studies.main", "study.yaml", "--out", "out", "--workers", "2"]
-    # The process gets its own group, because a terminal sends the signal to a group.
+    command = [sys.executable, "-c", PROGRAM, "study.yaml", "--out", "out", "--workers", "2"]
     command_process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
         end = time.monotonic() + 60.0
         while not list(tmp_path.glob("out/rows/*/*.json")) and time.monotonic() < end:
             time.sleep(0.1)
-        os.killpg(command_process.pid, signal.SIGINT)
+        # A terminal sends Ctrl-C to the group, a supervisor SIGTERM to the process.
+        (os.killpg if signal_number is signal.SIGINT else os.kill)(command_process.pid, signal_number)
         error = command_process.communicate(timeout=60.0)[1]
     finally:
         command_process.kill()

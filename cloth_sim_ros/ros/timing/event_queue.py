@@ -76,7 +76,7 @@ class EventQueue:
                 return
         raise QueueFullError(
             f"{type(event).__name__.lower()} is refused: {MAX_QUEUED_EVENTS} commands wait for a frame already; "
-            "does /clock stand still?"
+            "send fewer, and look in /diagnostics if frames go on"
         )
 
     def put(
