@@ -55,6 +55,8 @@ from cloth_sim_ros.session.writer import (
 _REQUIRED_ATTACHMENTS = frozenset((SCENE_NAME, STATE_NAME))
 #: Number of messages in which a session's topics are searched.
 _MAX_PROBED_MESSAGES = 1000
+#: Reason of the end of a recovered file.
+RECOVERED = "recovered"
 #: Limit of the times of messages: ROS holds seconds as int32 [ns].
 _MAX_TIME = 10**9 << 31
 
@@ -90,6 +92,8 @@ class SessionPart:
         """Reason of the end and number of dropped messages; empty until the end was read."""
         self.attachments: dict[str, Attachment] = {}
         """By name; always with ``scene.yaml`` and ``state.npz``."""
+        self.foreign_metadata: set[str] = set()
+        """Names of the metadata records of other tools, as far as they were read."""
         self._strict = strict
         self._attachment_offsets: dict[str, int] = {}
         self._summary: Summary | None = None
@@ -209,8 +213,20 @@ class SessionPart:
 
     def missing(self) -> str | None:
         """Return the deficits found so far in one sentence; None if there are none."""
-        deficits = []
         self._note_progress()
+        deficits = (
+            [] if self.finished or not self._was_at_end else ["its indexes are missing, its messages are all there"]
+        )
+        deficits += [*self._summary_damage, *self._missing_contents()]
+        return f"{self.path.name}: {'; '.join(deficits)}" if deficits else None
+
+    def missing_contents(self) -> str | None:
+        """Return the deficits of the contents found so far in one sentence, without those of the indexes."""
+        self._note_progress()
+        return "; ".join(self._missing_contents()) or None
+
+    def _missing_contents(self) -> list[str]:
+        deficits = []
         if not self.finished and self.is_being_written():
             deficits.append("it is still being recorded")
         elif not self.finished and not self._was_at_end:
@@ -219,14 +235,14 @@ class SessionPart:
             if n_bytes and self._furthest > self._data_start:
                 torn = f" ({n_bytes} bytes of a torn chunk are left out)"
             deficits.append(f"the recording was cut off, what its last second held is lost{torn}")
-        elif not self.finished:
-            deficits.append("its indexes are missing, its messages are all there")
-        deficits += self.damage
+        deficits += self._damage
+        if self.end_notes.get("reason") == RECOVERED and self.end_notes.get("missing"):
+            deficits.append(f"recovered, {self.end_notes['missing']}")
         dropped = self.end_notes.get("dropped", "0")
         if dropped != "0":
             clouds = "1 cloud was" if dropped == "1" else f"{dropped} clouds were"
             deficits.append(f"{clouds} dropped, the disk was too slow")
-        return f"{self.path.name}: {'; '.join(deficits)}" if deficits else None
+        return deficits
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:
         """Yield the chunks from the current position to the last intact one; messages outside of chunks form one, too.
@@ -335,6 +351,8 @@ class SessionPart:
                 self.metadata = MappingProxyType(record.metadata)
             elif record.name == END_METADATA_NAME:
                 self._read_end_notes(record, location)
+            else:
+                self.foreign_metadata.add(record.name)
         elif location.opcode == Opcode.ATTACHMENT:
             attachment = read_attachment(self._file, location)
             self._check_attachment(attachment, location)
