@@ -36,8 +36,8 @@ APPLICATION = "cloth_sim"
 _POLL = 0.05
 #: Space that a recording needs at its beginning [bytes]: the viewer's layout is less.
 _MIN_SPACE = 1 << 20
-#: Mark at the end of a complete Rerun recording, before its version.
-_END_MARK = b"RRF2FOOT"
+#: Mark at the end of a complete Rerun recording, and the number of bytes from it to the end [bytes].
+_END_MARK, _END_SIZE = b"RRF2FOOT", 12
 
 
 def save_recording(
@@ -165,8 +165,8 @@ def saved_recording(
 
 def _ends_with_mark(path: Path) -> bool:
     with path.open("rb") as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - 2 * len(_END_MARK)))
-        return _END_MARK in file.read()
+        file.seek(max(0, file.seek(0, os.SEEK_END) - _END_SIZE))
+        return file.read().startswith(_END_MARK)
 
 
 @contextlib.contextmanager
