@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.session.cdr import Cloud, MeshMessage
 
 #: Reason of the end of a file that another one of the session follows.
-_SPLIT = "split"
+SPLIT = "split"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -245,7 +245,7 @@ def absent_files(paths: Sequence[Path], *, whole: bool) -> list[str]:
     sessions: dict[str, dict[int, tuple[Path, bool]]] = {}
     for path in paths:
         with contextlib.suppress(SessionError), contextlib.closing(SessionPart(path)) as part:
-            is_split = part.end_notes.get("reason") == _SPLIT
+            is_split = part.end_notes.get("reason") == SPLIT
             sessions.setdefault(part.session, {})[part.index] = path, is_split
     sentences = []
     for files in sessions.values():
@@ -263,7 +263,7 @@ def absent_files(paths: Sequence[Path], *, whole: bool) -> list[str]:
 
 def _open_next_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
     """Open the next file of a split session; None if it does not exist."""
-    if part.end_notes.get("reason") != _SPLIT:
+    if part.end_notes.get("reason") != SPLIT:
         return None
     next_part = None
     for sibling in _siblings(part):

@@ -20,7 +20,7 @@ from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message, SessionPart
-from cloth_sim_ros.session.reader import SessionReader, read_frame
+from cloth_sim_ros.session.reader import SPLIT, SessionReader, read_frame
 from cloth_sim_ros.session.writer import FILE_PREFIX, SCENE_NAME, STATE_NAME
 from cloth_sim_ros.simulation.environment import differences, recorder_with_other_arithmetic
 from cloth_sim_ros.simulation.events import Event, from_dict
@@ -197,6 +197,8 @@ class _SessionRun:
                 self._findings.add_deficit(f"its last frame, {position.frame}, was recorded without {topics}")
         self._frame_outputs.end()
         self._completeness.end()
+        if part.end_notes.get("reason") == SPLIT:
+            self._findings.add_deficit(f"the session goes on in another file after {part.path.name}")
         needs_diagnostics = "dropped" in part.end_notes and self._verdict.simulated > _DIAGNOSTICS_WITHIN
         if needs_diagnostics and not self._completeness.is_seen(DIAGNOSTICS):
             self._findings.add_absent(DIAGNOSTICS)
