@@ -149,7 +149,7 @@ def saved_recording(
     is_file = target.is_file() or not target.exists()
     if is_file:
         try:
-            with target.open("wb") as probe:
+            with tempfile.TemporaryFile(dir=target.absolute().parent) as probe:
                 os.posix_fallocate(probe.fileno(), 0, _MIN_SPACE)
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(name)) from error
