@@ -21,9 +21,10 @@ TRAIL = 0x7BE0AAFF
 
 
 def strain_colours(strain: NDArray[np.float32], limit: float, out: NDArray[np.uint32]) -> None:
-    """Write the colours 0xRRGGBBAA of strains (n,) into `out` (n,): light up to 0, red from `limit`."""
+    """Write the colours 0xRRGGBBAA of strains (n,) into `out` (n,): light up to 0, red from `limit`, and for nan."""
     table = _table()
-    index = np.clip(strain * (len(table) / limit), 0.0, len(table) - 1.0)
+    # The minimum of nan and a number is the number.
+    index = np.maximum(np.fmin(strain * (len(table) / limit), len(table) - 1.0), 0.0)
     np.take(table, index.astype(np.intp), out=out, mode="clip")
 
 

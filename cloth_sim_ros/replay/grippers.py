@@ -47,7 +47,10 @@ class GripperTrack:
         """Set the target position [m] and orientation; the first target places the gripper there."""
         self.target[:3] = position
         if orientation is not None:
-            self.target[3:] = orientation / np.linalg.norm(orientation)
+            length = np.linalg.norm(orientation)
+            if not length > 0.0:
+                raise ValueError(f"an orientation has the length {length:g}")
+            self.target[3:] = orientation / length
         if self.pose is None:
             self.pose = self.target.copy()
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from cloth_sim_ros.replay.rows import MAX_TIME
 from cloth_sim_ros.replay.viewer import ViewerError
 from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
@@ -18,8 +19,8 @@ from cloth_sim_ros.session.errors import SessionError
 DONE, UNAVAILABLE, INVALID = 0, 1, 2
 
 _MAX_PIXELS = 8192
-#: Maximum time of the viewer, which counts nanoseconds in 64 bits [s].
-_MAX_TIME = 9e9
+#: Default size of a picture [pixels].
+_SIZE = (1600, 900)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 options.session,
                 options.screenshot,
                 at=options.at,
-                size=options.size,
+                size=options.size or _SIZE,
                 strain_limit=options.strain_limit,
                 accuracy=options.accuracy,
             )
@@ -87,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     output.add_argument("--screenshot", metavar="OUT.png", type=Path, help=screenshot)
     parser.add_argument("--at", metavar="SECONDS", type=float, help="simulated time of the picture; default: the end")
     size = "size of the picture; default: 1600x900"
-    parser.add_argument("--size", metavar="WxH", type=_size, default=(1600, 900), help=size)
+    parser.add_argument("--size", metavar="WxH", type=_size, help=size)
     parser.add_argument("--every", metavar="N", type=int, default=1, help="show every Nth cloud; default: all")
     strain = "strain of the last colour, instead of an ensemble's deviation; default: from the session"
     parser.add_argument("--strain-limit", metavar="PERCENT", type=float, help=strain)
@@ -109,10 +110,14 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--accuracy needs the whole session: it cannot be combined with --follow")
     if options.screenshot is not None and (options.follow or options.every != 1):
         parser.error("--screenshot shows one moment: it takes --at, not --follow or --every")
+    if options.accuracy and options.strain_limit is not None:
+        parser.error("--accuracy colours the cloth by error: it cannot be combined with --strain-limit")
+    if options.size is not None and options.screenshot is None:
+        parser.error("--size is the size of a picture: it needs --screenshot")
     if options.at is not None and options.screenshot is None:
         parser.error("--at is the time of a picture: it needs --screenshot")
-    if options.at is not None and not abs(options.at) <= _MAX_TIME:
-        parser.error(f"--at {options.at:g}: it must be a number of seconds, at most {_MAX_TIME:g}")
+    if options.at is not None and not abs(options.at) <= MAX_TIME:
+        parser.error(f"--at {options.at:g}: it must be a number of seconds, at most {MAX_TIME:g}")
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -103,7 +103,7 @@ def _static_components(kind: int, colour: Any) -> Any:
     """Return the Rerun components of a marker that do not change: colour and fill mode."""
     import rerun as rr
 
-    rgba = np.array([[colour.r, colour.g, colour.b, colour.a]]) * 255.0
+    rgba = np.clip(np.nan_to_num([[colour.r, colour.g, colour.b, colour.a]]), 0.0, 1.0) * 255.0
     packed_colour = np.ascontiguousarray(rgba.round().astype(np.uint8)).view(">u4")[:, 0].astype(np.uint32)
     if kind == _TRIANGLES:
         return rr.Mesh3D.from_fields(albedo_factor=packed_colour)
@@ -119,7 +119,9 @@ def _geometry(marker: Any) -> dict[str, NDArray[np.float32]] | None:
         return {"lengths": size[2:], "radii": 0.5 * size[:1]}
     if marker.type != _TRIANGLES:
         return None
-    corners = np.array([[point.x, point.y, point.z] for point in marker.points], np.float32) * size
+    # Corners of an incomplete triangle are left out.
+    points = marker.points[: len(marker.points) // 3 * 3]
+    corners = np.array([[point.x, point.y, point.z] for point in points], np.float32).reshape(-1, 3) * size
     sides = corners.reshape(-1, 3, 3)
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.float32(1e-30))[:, None]

@@ -97,15 +97,18 @@ def _opening(scene_yaml: str, state: bytes) -> Opening:
     names = [name for name in _texts(values.get("grippers")) if name]
     mode = str(values.get("gripper.mode", "attach"))
     try:
-        positions = np.ascontiguousarray(arrays["position"].T)
+        positions = np.ascontiguousarray(arrays["position"].T, dtype=np.float64)
     except KeyError as error:
         raise SessionError("state.npz holds no particle positions") from error
+    if positions.ndim != 2 or positions.shape[1] != 3:
+        raise ValueError(f"the positions have the shape {positions.T.shape}")
     return Opening(
         frame_id=str(values.get("frame_id", "world")),
         anchors=tuple(_texts(values.get("cloth.anchors"))),
         gripper_radius=float(values.get("gripper.radius", 0.05)),
         grippers=tuple(
-            _gripper(name, index, arrays, str(values.get(f"{name}.mode", mode))) for index, name in enumerate(names)
+            _gripper(name, index, arrays, str(values.get(f"{name}.mode", mode)), len(positions))
+            for index, name in enumerate(names)
         ),
         obstacles=tuple(sorted(name.removesuffix(".shape") for name in values if name.endswith(".shape"))),
         positions=positions,
@@ -113,7 +116,7 @@ def _opening(scene_yaml: str, state: bytes) -> Opening:
     )
 
 
-def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]], mode: str) -> GripperStart:
+def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]], mode: str, particle_count: int) -> GripperStart:
     def entry(key: str, default: NDArray[Any]) -> NDArray[Any]:
         stored = arrays.get(f"memory.{key}")
         return default if stored is None or index >= len(stored) else stored[index]
@@ -122,12 +125,18 @@ def _gripper(name: str, index: int, arrays: dict[str, NDArray[Any]], mode: str) 
     starts = arrays.get("memory.grip.starts", np.zeros(0, dtype=np.int64))
     particles = arrays.get("memory.grip.particles", np.zeros(0, dtype=np.int64))
     known = index + 1 < len(starts)
+    grasped = particles[starts[index] : starts[index + 1]] if known else particles[:0]
+    pose, target = (np.asarray(entry(key, nowhere), np.float64) for key in ("gripper.pose", "gripper.target"))
+    if pose.shape != nowhere.shape or target.shape != nowhere.shape:
+        raise ValueError(f"the pose or the target of {name} is not 7 numbers")
+    if len(grasped) and not 0 <= int(grasped.min()) <= int(grasped.max()) < particle_count:
+        raise ValueError(f"{name} holds a particle that is not there")
     return GripperStart(
         name=name,
-        pose=entry("gripper.pose", nowhere) if bool(entry("gripper.placed", np.array(False))) else None,
-        target=entry("gripper.target", nowhere),
+        pose=pose if bool(entry("gripper.placed", np.array(False))) else None,
+        target=target,
         closed=bool(entry("gripper.closed", np.array(False))),
-        grasped=particles[starts[index] : starts[index + 1]] if known else particles[:0],
+        grasped=grasped,
         pinches=mode == "pinch",
     )
 

@@ -90,8 +90,10 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
             geometry = make_surface_geometry(surface.triangles, rest_positions, opening.positions, rows, columns)
         check_fit(cloud, len(rest_positions))
         geometry.compute(cloud.xyz, normals, strain)
-        strains.append(float(np.quantile(strain, 1.0 - _CLIPPED_FRACTION)))
-        low, high = np.minimum(low, cloud.xyz.min(axis=0)), np.maximum(high, cloud.xyz.max(axis=0))
+        # A cloth that diverged must not determine bounds and colours.
+        if np.isfinite(strain).all() and np.isfinite(cloud.xyz).all():
+            strains.append(float(np.quantile(strain, 1.0 - _CLIPPED_FRACTION)))
+            low, high = np.minimum(low, cloud.xyz.min(axis=0)), np.maximum(high, cloud.xyz.max(axis=0))
     if geometry is None:
         rows, columns = 1, len(rest_positions)
         geometry = make_surface_geometry(surface.triangles, rest_positions, opening.positions, rows, columns)

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 #: Names of the timelines.
 SIM_TIME, ROS_TIME, FRAME = "simulated time", "ros time", "frame"
+#: Maximum simulated time of the viewer, which counts nanoseconds in 64 bits [s].
+MAX_TIME = 9e9
 
 
 class Moment(NamedTuple):

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import math
+import os
 import sys
 import tempfile
 import time
@@ -19,7 +21,7 @@ from cloth_sim_ros.replay.blueprint import make_blueprint
 from cloth_sim_ros.replay.plots import ACCURACY
 from cloth_sim_ros.replay.pre_scan import PreScan, scan_session
 from cloth_sim_ros.replay.stream import ReplayStream
-from cloth_sim_ros.replay.viewer import check_screen, open_window, save_screenshot
+from cloth_sim_ros.replay.viewer import ViewerError, check_screen, open_window, save_screenshot
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.output_files import atomic_write
 from cloth_sim_ros.session.reader import SessionReader
@@ -32,6 +34,10 @@ if TYPE_CHECKING:
 APPLICATION = "cloth_sim"
 #: Poll interval of a session that is being recorded [s].
 _POLL = 0.05
+#: Space that a recording needs at its beginning [bytes]: the viewer's layout is less.
+_MIN_SPACE = 1 << 20
+#: Mark at the end of a complete Rerun recording, and the number of bytes from it to the end [bytes].
+_END_MARK, _END_SIZE = b"RRF2FOOT", 12
 
 
 def save_recording(
@@ -51,10 +57,8 @@ def save_recording(
         scan = _scan(reader, strain_limit, follow)
         target = out if follow else stack.enter_context(atomic_write(out))
         scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
-        recording = _recording(reader)
-        recording.save(target, default_blueprint=make_blueprint(scan))
-        _play(reader, ReplayStream(recording, scan, node=reader.node, every=every, accuracy=measured), follow)
-        recording.disconnect()
+        with saved_recording(_recording(reader), target, make_blueprint(scan), name=out) as recording:
+            _play(reader, ReplayStream(recording, scan, node=reader.node, every=every, accuracy=measured), follow)
         _print_missing(reader)
 
 
@@ -74,10 +78,17 @@ def open_viewer(
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         scan = _scan(reader, strain_limit, follow)
         scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
-        recording = _recording(reader)
-        recording.connect_grpc(open_window().address, default_blueprint=make_blueprint(scan, following=follow))
-        _play(reader, ReplayStream(recording, scan, node=reader.node, every=every, accuracy=measured), follow)
-        recording.disconnect()
+        recording, viewer = _recording(reader), open_window()
+        try:
+            recording.connect_grpc(viewer.address, default_blueprint=make_blueprint(scan, following=follow))
+            _play(reader, ReplayStream(recording, scan, node=reader.node, every=every, accuracy=measured), follow)
+            recording.disconnect()
+        except RuntimeError as error:
+            # Rerun's, from the connection.
+            is_closed = viewer.process.poll() is not None
+            raise ViewerError(
+                "the viewer was closed" if is_closed else f"the viewer does not answer: {error}"
+            ) from error
         _print_missing(reader)
 
 
@@ -106,16 +117,56 @@ def save_picture(
         picture = stack.enter_context(atomic_write(out))
         scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
         rrd = Path(folder) / "picture.rrd"
-        recording = _recording(reader)
-        recording.save(rrd, default_blueprint=make_blueprint(scan, picture=True))
-        last_time = math.inf if at is None else at
-        stream = ReplayStream(recording, scan, node=reader.node, last_time=last_time, accuracy=measured)
-        _play(reader, stream, follow=False)
-        recording.disconnect()
+        with saved_recording(_recording(reader), rrd, make_blueprint(scan, picture=True), name=rrd) as recording:
+            last_time = math.inf if at is None else at
+            stream = ReplayStream(recording, scan, node=reader.node, last_time=last_time, accuracy=measured)
+            _play(reader, stream, follow=False)
         _print_missing(reader)
         if not stream.clouds_seen:
             raise SessionError(f"{paths[0]} holds no clouds: there is nothing to draw")
-        save_screenshot(rrd, picture, at=stream.time if at is None else at, size=size)
+        # Before the first cloud nothing would be drawn.
+        save_screenshot(rrd, picture, at=stream.time if at is None else max(at, stream.shown_time), size=size)
+
+
+@contextlib.contextmanager
+def saved_recording(
+    recording: rr.RecordingStream, target: Path, blueprint: object, *, name: Path
+) -> Iterator[rr.RecordingStream]:
+    """Save what is sent to a recording within the context as a file.
+
+    Rerun writes in a thread of its own. Without space at the beginning it waits forever; at the end it only logs the
+    error. Therefore space for the beginning is checked, and the mark at the file's end.
+
+    Args:
+        recording: Rerun stream.
+        target: path of the file.
+        blueprint: layout of the viewer.
+        name: path for the error.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    is_file = target.is_file() or not target.exists()
+    if is_file:
+        try:
+            with tempfile.TemporaryFile(dir=target.absolute().parent) as probe:
+                os.posix_fallocate(probe.fileno(), 0, _MIN_SPACE)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(name)) from error
+    try:
+        recording.save(target, default_blueprint=blueprint)
+        yield recording
+        recording.disconnect()
+    except RuntimeError as error:
+        raise OSError(errno.EIO, f"cannot be written: {error}", str(name)) from error
+    if is_file and not _ends_with_mark(target):
+        raise OSError(errno.EIO, "its end could not be written; make room, or name another file", str(name))
+
+
+def _ends_with_mark(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - _END_SIZE))
+        return file.read().startswith(_END_MARK)
 
 
 @contextlib.contextmanager

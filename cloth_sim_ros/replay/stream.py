@@ -17,7 +17,7 @@ from cloth_sim_ros.replay.grippers import GripperTracks
 from cloth_sim_ros.replay.obstacle_view import ObstacleView
 from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, extra_numbers
 from cloth_sim_ros.replay.pre_scan import PreScan, check_fit
-from cloth_sim_ros.replay.rows import Moment, Rows
+from cloth_sim_ros.replay.rows import MAX_TIME, Moment, Rows
 from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.errors import SessionError
@@ -107,6 +107,8 @@ class ReplayStream:
         self._unflushed = 0
         #: Number of clouds in the messages, and of those shown.
         self.clouds_seen = self.clouds_shown = 0
+        #: Simulated time of the first cloud that is shown, or of the only one [s].
+        self.shown_time = 0.0
         self._start()
 
     @property
@@ -161,6 +163,9 @@ class ReplayStream:
         Raises:
             SessionError: if one of its events is invalid.
         """
+        if not abs(record.time) <= MAX_TIME:
+            raise SessionError(f"frame {record.frame} has the time {record.time:g} s, the limit is {MAX_TIME:g} s")
+        self._send_large_tables()
         moment = self._moment = Moment(record.time, ros_time, record.frame)
         self._recent.add(moment)
         self._log_events()
@@ -168,7 +173,7 @@ class ReplayStream:
             counts = self._grippers.advance(record, lambda: self._positions_before(record))
             self._recorded_frame = record.frame
             self._update_anchors(record)
-        except (TypeError, ValueError, OverflowError) as error:
+        except (TypeError, ValueError, OverflowError, AttributeError) as error:
             # A file may hold parameters of any type.
             raise SessionError(f"the record of frame {record.frame} has an invalid event: {error}") from error
         if "plots/steps" in self._scan.plots:
@@ -266,6 +271,9 @@ class ReplayStream:
             self._show(shown)
         elif self._pending_cloud is None or moment.sim_time <= self._last_time:
             self._pending_cloud = shown
+
+    def _send_large_tables(self) -> None:
+        """Send the tables that have reached the size of a batch."""
         for table in self._tables.values():
             if table.size >= _BATCH_BYTES or len(table) >= _MAX_ROWS:
                 self._unflushed += table.size
@@ -300,6 +308,8 @@ class ReplayStream:
     def _show(self, shown: _ShownCloud) -> None:
 
         moment, xyz, normals, shade, grasped = shown
+        if not self.clouds_shown:
+            self.shown_time = moment.sim_time
         if self._accuracy is None and self._scan.deviation_limit is not None:
             self._cloth_rows.add(moment, vertex_positions=xyz, vertex_normals=normals)
         else:

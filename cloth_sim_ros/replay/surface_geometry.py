@@ -77,6 +77,7 @@ class MeshGeometry(SurfaceGeometry):
         self._end_order %= max(len(ends), 1)
         self._sign = np.float32(_light_sign(self._areas(np.ascontiguousarray(start.T, dtype=np.float32))))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def compute(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
         """Write unit normals (n, 3) and largest strains (n,) of particles at xyz (n, 3) [m] into given arrays."""
         x = np.ascontiguousarray(xyz.T)
@@ -115,6 +116,7 @@ class GridGeometry(SurfaceGeometry):
         along, down = np.gradient(start_grid, axis=2), np.gradient(start_grid, axis=1)
         self._sign = np.float32(_light_sign(np.cross(along, down, axis=0).reshape(3, -1)))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def compute(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
         """Write unit normals (n, 3) and largest strains (n,) of particles at xyz (n, 3) [m] into given arrays."""
         rows, columns = self._shape

@@ -35,6 +35,8 @@ __all__ = [
 ]
 
 _LITTLE = b"\x00\x01\x00\x00"
+#: Alignment to which a middleware may pad the end of a message [bytes].
+_PADDING = 4
 #: Size [bytes] of a number by its type in sensor_msgs/PointField: FLOAT32, FLOAT64.
 _FIELD_SIZES = {7: 4, 8: 8}
 _POSITION, _VELOCITY, _DEVIATION = ("x", "y", "z"), ("vx", "vy", "vz"), "deviation"
@@ -115,7 +117,9 @@ def encode_string(text: str) -> bytes:
 def decode_string(data: bytes | memoryview) -> str:
     """Return the text of a std_msgs/String. Raises SessionError if the bytes are not one."""
     reader = _CdrReader(data, "std_msgs/msg/String")
-    return reader.string()
+    text = reader.string()
+    reader.end()
+    return text
 
 
 def decode_cloud(data: bytes | memoryview) -> Cloud:
@@ -147,6 +151,9 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
 
     def view(*names: str) -> NDArray[np.floating]:
         offset, length = fields[names[0]]
+        if not height * width:
+            # No offset of a field has to lie within the bytes.
+            return np.empty((0, len(names)), dtype=f"f{length}")
         points = np.ndarray(
             (height, width, len(names)),
             dtype=f"{'>' if big_endian else '<'}f{length}",
@@ -211,10 +218,18 @@ class _CdrReader:
     def string(self) -> str:
         (length,) = self.numbers("I")
         start = self.skip(length)
+        if length and self._data[start + length - 1]:
+            raise SessionError(f"{len(self._data)} bytes are no {self._type_name}: a text lacks its end")
         try:
             return str(bytes(self._data[start : start + max(length - 1, 0)]), "utf-8")
         except UnicodeDecodeError as error:
             raise SessionError(f"a {self._type_name} holds a text that is not UTF-8: {error}") from error
+
+    def end(self) -> None:
+        """Raise SessionError if more than padding follows."""
+        n_bytes = len(self._data) - self._position
+        if n_bytes >= _PADDING:
+            raise SessionError(f"{len(self._data)} bytes are no {self._type_name}: {n_bytes} bytes follow its end")
 
     def skip(self, size: int) -> int:
         """Skip `size` bytes; return the offset of the first one. Raises SessionError beyond the end."""

@@ -147,7 +147,7 @@ def to_json(reader: SessionReader, summary: SessionSummary) -> dict[str, Any]:
     return {
         "files": [str(part.path) for part in reader.parts],
         "bytes": sum(part.size() for part in reader.parts),
-        "complete": reader.complete,
+        "complete": reader.missing is None,
         "missing": reader.missing,
         "metadata": dict(reader.metadata),
         "end": [dict(part.end_notes) for part in reader.parts],

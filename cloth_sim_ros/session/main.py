@@ -69,19 +69,27 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _files(options: argparse.Namespace) -> list[Path]:
-    from cloth_sim_ros.session.reader import session_files
+def _files(options: argparse.Namespace) -> tuple[list[Path], bool]:
+    """Return the files to read, and True if files of a split session are missing among them, as then printed."""
+    from cloth_sim_ros.session.reader import absent_files, session_files
 
     files: list[Path] = options.files
-    return session_files(files[0]) if options.all_parts and len(files) == 1 else files
+    is_whole = options.all_parts and len(files) == 1
+    if is_whole:
+        files = session_files(files[0])
+    absent = absent_files(files, whole=is_whole)
+    for sentence in absent:
+        print(f"cloth_session: {sentence}", file=sys.stderr)
+    return files, bool(absent)
 
 
 def _info(options: argparse.Namespace) -> int:
     """Read sessions to their end, check every checksum, and summarize. Status 1 if a session is incomplete."""
     from cloth_sim_ros.session.reader import by_session
 
-    reports, missing = [], []
-    for files in by_session(_files(options)):
+    paths, lacks_files = _files(options)
+    reports, missing = [], [lacks_files]
+    for files in by_session(paths):
         report, is_incomplete = _summary(files, as_json=options.json)
         reports.append(report)
         missing.append(is_incomplete)
@@ -135,7 +143,7 @@ def _export(options: argparse.Namespace) -> int:
     from cloth_sim_ros.session.export import export
     from cloth_sim_ros.session.reader import SessionReader
 
-    files = _files(options)
+    files, _ = _files(options)
     output = options.output or files[0].with_suffix(".npz")
     with SessionReader(files) as reader, tqdm(unit=" clouds", desc="reading", delay=1.0, leave=False) as bar:
         count = export(

@@ -220,6 +220,9 @@ class McapBuilder:
         self._chunk_count += 1
         for channel, count in packed.counts.items():
             self._counts[channel] += count
+        if not packed.counts:
+            # A chunk of declarations has no times.
+            return
         first, last = index.message_start_time, index.message_end_time
         self._times = (first, last) if self._times is None else (min(first, self._times[0]), max(last, self._times[1]))
 

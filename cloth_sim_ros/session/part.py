@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -55,6 +55,10 @@ from cloth_sim_ros.session.writer import (
 _REQUIRED_ATTACHMENTS = frozenset((SCENE_NAME, STATE_NAME))
 #: Number of messages in which a session's topics are searched.
 _MAX_PROBED_MESSAGES = 1000
+#: Reason of the end of a recovered file.
+RECOVERED = "recovered"
+#: Limit of the times of messages: ROS holds seconds as int32 [ns].
+_MAX_TIME = 10**9 << 31
 
 
 class Message(NamedTuple):
@@ -88,15 +92,21 @@ class SessionPart:
         """Reason of the end and number of dropped messages; empty until the end was read."""
         self.attachments: dict[str, Attachment] = {}
         """By name; always with ``scene.yaml`` and ``state.npz``."""
+        self.foreign_metadata: set[str] = set()
+        """Names of the metadata records of other tools, as far as they were read."""
         self._strict = strict
-        self._attachment_bytes = 0
+        self._attachment_offsets: dict[str, int] = {}
         self._summary: Summary | None = None
         self._fully_indexed: bool | None = None  # the summary names the whole contents; None if unknown
         self._summary_damage: list[str] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._data_start = 0
+        self._data_start = self._position = 0
         self._at_end = False
+        self._was_at_end = False  # in this pass or an earlier one
+        self._furthest = 0  # largest offset that was read
+        #: Descriptions of damaged records, each once, although several passes read them.
+        self._damage: dict[str, None] = {}
         self._has_unchunked = False  # some messages lie outside of chunks
         self._file = open_file(self.path)
         self._search = ChunkSearch(self._file)
@@ -191,30 +201,48 @@ class SessionPart:
         return is_being_written(self._file.fileno())
 
     def rewind(self) -> None:
-        """Go back to the first chunk and clear the damage that was reported while reading."""
+        """Go back to the first chunk. The damage that was found so far stays reported."""
+        self._note_progress()
         self._position = self._data_start
         self._at_end = False
-        self._damage: list[str] = []
+
+    def _note_progress(self) -> None:
+        """Note how far the file was read: a later pass may stop earlier."""
+        self._furthest = max(self._furthest, self._position)
+        self._was_at_end = self._was_at_end or self._at_end
 
     def missing(self) -> str | None:
         """Return the deficits found so far in one sentence; None if there are none."""
+        self._note_progress()
+        deficits = (
+            [] if self.finished or not self._was_at_end else ["its indexes are missing, its messages are all there"]
+        )
+        deficits += [*self._summary_damage, *self._missing_contents()]
+        return f"{self.path.name}: {'; '.join(deficits)}" if deficits else None
+
+    def missing_contents(self) -> str | None:
+        """Return the deficits of the contents found so far in one sentence, without those of the indexes."""
+        self._note_progress()
+        return "; ".join(self._missing_contents()) or None
+
+    def _missing_contents(self) -> list[str]:
         deficits = []
         if not self.finished and self.is_being_written():
             deficits.append("it is still being recorded")
-        elif not self.finished and not self._at_end:
-            n_bytes = self.size() - self._position
+        elif not self.finished and not self._was_at_end:
+            n_bytes = self.size() - self._furthest
             torn = ""
-            if n_bytes and self._position > self._data_start:
+            if n_bytes and self._furthest > self._data_start:
                 torn = f" ({n_bytes} bytes of a torn chunk are left out)"
             deficits.append(f"the recording was cut off, what its last second held is lost{torn}")
-        elif not self.finished:
-            deficits.append("its indexes are missing, its messages are all there")
-        deficits += self.damage
+        deficits += self._damage
+        if self.end_notes.get("reason") == RECOVERED and self.end_notes.get("missing"):
+            deficits.append(f"recovered, {self.end_notes['missing']}")
         dropped = self.end_notes.get("dropped", "0")
         if dropped != "0":
             clouds = "1 cloud was" if dropped == "1" else f"{dropped} clouds were"
             deficits.append(f"{clouds} dropped, the disk was too slow")
-        return f"{self.path.name}: {'; '.join(deficits)}" if deficits else None
+        return deficits
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:
         """Yield the chunks from `position` to the last intact one; messages outside of chunks form one, too.
@@ -242,14 +270,22 @@ class SessionPart:
                 channel = channels[raw.channel]
                 if channel is None or _is_outside(raw.log_time, raw.log_time, start, end):
                     continue
+                if max(raw.log_time, raw.publish_time) >= _MAX_TIME:
+                    cause = f"the chunk at byte {chunk.location.offset} has a time of {channel[0]} beyond those of ROS"
+                    self._report_damage(DamagedRecordError(cause))
+                    continue
                 yield Message(*channel, raw.data, raw.log_time, raw.publish_time, raw.sequence)
 
     def declare(self, record: Schema | Channel) -> None:
-        """Register a schema or a channel from a chunk; for callers that iterate over `chunks`."""
-        if isinstance(record, Schema):
-            self._schemas[record.id] = record
-        else:
-            self._channels[record.id] = record
+        """Register a schema or a channel from a chunk; for callers that iterate over `chunks`.
+
+        Two different declarations of one id are damage: other readers may take the other one.
+        """
+        declared: dict[int, Any] = self._schemas if isinstance(record, Schema) else self._channels
+        if declared.setdefault(record.id, record) != record:
+            subject = f"{type(record).__name__.lower()} {record.id}"
+            self._report_damage(DamagedRecordError(f"{subject} is declared twice, with different contents"))
+            declared[record.id] = record
 
     def channel(self, channel_id: int) -> tuple[str, str] | None:
         """Return (topic, type) of a channel id; None if its declaration was lost or not yet read."""
@@ -259,7 +295,7 @@ class SessionPart:
 
     def report_undeclared(self, channel_id: int, location: RecordLocation) -> None:
         """Add to `damage` that a chunk's messages are skipped because their channel's declaration is lost."""
-        self._damage.append(f"the chunk at byte {location.offset} has messages of channel {channel_id}, never declared")
+        self._damage[f"the chunk at byte {location.offset} has messages of channel {channel_id}, never declared"] = None
 
     def declarations(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
         """Return copies of the schemas and channels read so far, two dicts by id."""
@@ -315,13 +351,25 @@ class SessionPart:
                 self.metadata = MappingProxyType(record.metadata)
             elif record.name == END_METADATA_NAME:
                 self._read_end_notes(record, location)
+            else:
+                self.foreign_metadata.add(record.name)
         elif location.opcode == Opcode.ATTACHMENT:
             attachment = read_attachment(self._file, location)
+            self._check_attachment(attachment, location)
             self.attachments[attachment.name] = attachment
-            self._attachment_bytes += len(attachment.data)
-            if self._attachment_bytes > MAX_CHUNK_BYTES:
-                sizes = f"{self._attachment_bytes} bytes, the limit is {MAX_CHUNK_BYTES}"
+            n_bytes = sum(len(entry.data) for entry in self.attachments.values())
+            if n_bytes > MAX_CHUNK_BYTES:
+                sizes = f"{n_bytes} bytes, the limit is {MAX_CHUNK_BYTES}"
                 raise DamagedRecordError(f"the attachments up to byte {location.end} have {sizes}")
+
+    def _check_attachment(self, attachment: Attachment, location: RecordLocation) -> None:
+        """Refuse a second attachment of one name with other contents, except of names that nothing here reads."""
+        name, previous = attachment.name, self.attachments.get(attachment.name)
+        is_read = name in _REQUIRED_ATTACHMENTS or name.startswith(FILE_PREFIX)
+        if is_read and previous is not None and previous.data != attachment.data:
+            offsets = f"at bytes {self._attachment_offsets[name]} and {location.offset}"
+            raise DamagedSessionError(f"{self.path} has two different attachments {name!r}, {offsets}")
+        self._attachment_offsets.setdefault(name, location.offset)
 
     def _read_end_notes(self, record: Metadata, location: RecordLocation) -> None:
         if record.metadata.get("checksum") != metadata_checksum(record.metadata):
@@ -402,7 +450,7 @@ class SessionPart:
         next_chunk = self._search.find(self._position + 1)
         if next_chunk is None:
             n_bytes = self.size() - self._position
-            self._damage.append(f"{n_bytes} bytes from byte {self._position} on cannot be read")
+            self._damage[f"{n_bytes} bytes from byte {self._position} on cannot be read"] = None
             self._at_end = True
         else:
             self._position = next_chunk
@@ -410,7 +458,7 @@ class SessionPart:
     def _report_damage(self, error: DamagedRecordError) -> None:
         if self._strict:
             raise DamagedSessionError(f"{self.path}: {error}") from error
-        self._damage.append(str(error))
+        self._damage[str(error)] = None
 
     def _select_channel(
         self, channel_id: int, topics: frozenset[str] | None, location: RecordLocation

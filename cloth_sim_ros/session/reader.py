@@ -19,6 +19,9 @@ from cloth_sim_ros.session.part import Message, SessionPart
 if TYPE_CHECKING:
     from cloth_sim_ros.session.cdr import Cloud, MeshMessage
 
+#: Reason of the end of a file that another one of the session follows.
+SPLIT = "split"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedCloud:
@@ -232,9 +235,35 @@ def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
     yield group
 
 
+def absent_files(paths: Sequence[Path], *, whole: bool) -> list[str]:
+    """Return a sentence for each gap between the given files of a split session, which is not among them.
+
+    Args:
+        paths: files of one session or of several. Unreadable ones are left out.
+        whole: True to miss also the files before the first and after the last one.
+    """
+    sessions: dict[str, dict[int, tuple[Path, bool]]] = {}
+    for path in paths:
+        with contextlib.suppress(SessionError), contextlib.closing(SessionPart(path)) as part:
+            is_split = part.end_notes.get("reason") == SPLIT
+            sessions.setdefault(part.session, {})[part.index] = path, is_split
+    sentences = []
+    for files in sessions.values():
+        indices = sorted(files)
+        before = [-1, *indices] if whole else indices
+        for previous, index in itertools.pairwise(before):
+            if index > previous + 1:
+                absent = f"part {previous + 1} to {index - 1}" if index > previous + 2 else f"part {previous + 1}"
+                sentences.append(f"{absent} of the session, before {files[index][0]}, is not among its files")
+        last, is_split = files[indices[-1]]
+        if whole and is_split:
+            sentences.append(f"part {indices[-1] + 1} of the session, after {last}, is not among its files")
+    return sentences
+
+
 def _open_next_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
     """Open the file that continues a split part; None if the part did not end by a split, or the file is absent."""
-    if part.end_notes.get("reason") != "split":
+    if part.end_notes.get("reason") != SPLIT:
         return None
     next_part = None
     for sibling in _siblings(part):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.part import SessionPart
+from cloth_sim_ros.session.part import RECOVERED, SessionPart
 from cloth_sim_ros.session.storage import AppendFile
 from cloth_sim_ros.session.writer import END_METADATA_NAME, METADATA_NAME, SUFFIX, metadata_checksum
 
@@ -102,8 +102,8 @@ def _copy(part: SessionPart, file: AppendFile, on_progress: Callable[[int, int],
     schemas, channels = part.declarations()
     builder.set_declarations(schemas, channels)
     # The file's name need not be UTF-8.
-    missing = (part.missing() or "").encode(errors="backslashreplace").decode()
-    notes = {**part.end_notes, "reason": "recovered", "messages": str(messages), "missing": missing}
+    missing = (part.missing_contents() or "").encode(errors="backslashreplace").decode()
+    notes = {**part.end_notes, "reason": RECOVERED, "messages": str(messages), "missing": missing}
     notes["checksum"] = metadata_checksum(notes)
     end = builder.encode_metadata(Metadata(name=END_METADATA_NAME, metadata=notes), file.size)
     file.append([end, builder.encode_closing(file.size + len(end))])

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session import messages
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
@@ -88,9 +89,10 @@ class CommandCheck:
             self._skip(message.topic, "a velocity, which the node integrates frame by frame")
             return
         try:
-            content = decode(message.data, message.type_name)
+            # A wrong type in the declaration is a difference of its own.
+            content = decode(message.data, _TYPES[leaf])
             pose = None if leaf == "grasp" else _READERS[leaf](content)
-        except (SessionError, AttributeError, ValueError):
+        except SessionError:
             self._skip(message.topic, "refused: its bytes are no such message")
             return
         if pose is None:
@@ -275,4 +277,5 @@ def _read_point(message: Any) -> _Pose:
     return (message.point.x, message.point.y, message.point.z)
 
 
+_TYPES = {"target": messages.POSE, "point": messages.POINT, "grasp": messages.BOOL}
 _READERS: dict[str, Any] = {"target": _read_pose, "point": _read_point, "grasp": bool, "twist": None}

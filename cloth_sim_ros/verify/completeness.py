@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from cloth_sim_ros.session.part import Message, SessionPart
+from cloth_sim_ros.session.part import RECOVERED, Message, SessionPart
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.verify.verdict import Findings, FramePosition
 
@@ -116,14 +116,14 @@ class CompletenessCheck:
         assert part is not None
         notes = part.end_notes
         self._dropped += _parse_count(notes.get("dropped", "")) or 0
-        self._may_be_incomplete |= bool(part.damage) or not notes or notes.get("reason") == "recovered"
+        self._may_be_incomplete |= bool(part.damage) or not notes or notes.get("reason") == RECOVERED
         announced = _parse_count(notes.get("messages", ""))
         if not notes and part.at_end:
             self._findings.add_deficit(f"{part.path.name}: its end record, which tells how many messages it held")
         elif notes and announced is None:
             self._findings.add_deficit(f"{part.path.name}: the number of its messages in the end record")
-        if notes.get("reason") == "recovered":
-            self._findings.add_deficit(f"{part.path.name}: recovered, {notes.get('missing') or 'nothing was lost'}")
+        if notes.get("reason") == RECOVERED and not notes.get("missing"):
+            self._findings.add_deficit(f"{part.path.name}: recovered, nothing was lost")
         if not whole or part.damage or announced is None or not part.at_end:
             return
         n_messages = self._counts[True]
@@ -208,7 +208,7 @@ class CompletenessCheck:
 
     def _is_damaged(self) -> bool:
         part = self._part
-        return part is not None and (bool(part.damage) or part.end_notes.get("reason") == "recovered")
+        return part is not None and (bool(part.damage) or part.end_notes.get("reason") == RECOVERED)
 
     def _check_log_time(self, message: Message, is_repeated: bool, kind: str) -> None:
         """Report a log time that is neither the publish time nor, if that is slightly earlier, the previous one."""

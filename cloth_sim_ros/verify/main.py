@@ -20,7 +20,7 @@ from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.output_files import OutputError, atomic_write, check_outputs
 from cloth_sim_ros.session.plurals import pluralize
-from cloth_sim_ros.session.reader import SessionReader, by_session
+from cloth_sim_ros.session.reader import SessionReader, absent_files, by_session
 
 if TYPE_CHECKING:
     from cloth_sim_ros.verify.certificate import Certificate
@@ -62,6 +62,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _check_one_session(parser, options, len(sessions))
     status = SAME
     try:
+        for gap in absent_files(options.session, whole=False):
+            print(f"cloth_verify: {gap}", file=sys.stderr)
+            status = UNREADABLE
         for paths in sessions:
             certificate = None
             try:
@@ -84,6 +87,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     _write_certificate(certificate, verdict, options)
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:
+        # The reader of the output (head, less) has closed the pipe.
+        sys.stderr.close()
+        return status
     except OSError as error:
         print(f"cloth_verify: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
         return UNREADABLE

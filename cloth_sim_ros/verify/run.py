@@ -20,8 +20,8 @@ from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message, SessionPart
-from cloth_sim_ros.session.reader import SessionReader, read_frame
-from cloth_sim_ros.session.writer import STATE_NAME
+from cloth_sim_ros.session.reader import SPLIT, SessionReader, read_frame
+from cloth_sim_ros.session.writer import FILE_PREFIX, SCENE_NAME, STATE_NAME
 from cloth_sim_ros.simulation.environment import differences, recorder_with_other_arithmetic
 from cloth_sim_ros.simulation.events import Event, from_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -178,6 +178,7 @@ class _SessionRun:
         if self._verdict.frames > self._frames_before:
             self._frame_outputs.finish()
         self._completeness.finish(whole=whole)
+        self._list_foreign_records()
         assert self._commands is not None
         compared = self._frame_outputs.topics | self._commands.topics
         compared |= {self._frame_topic, DIAGNOSTICS, self._ensemble.topic}
@@ -196,6 +197,8 @@ class _SessionRun:
                 self._findings.add_deficit(f"its last frame, {position.frame}, was recorded without {topics}")
         self._frame_outputs.end()
         self._completeness.end()
+        if part.end_notes.get("reason") == SPLIT:
+            self._findings.add_deficit(f"the session goes on in another file after {part.path.name}")
         needs_diagnostics = "dropped" in part.end_notes and self._verdict.simulated > _DIAGNOSTICS_WITHIN
         if needs_diagnostics and not self._completeness.is_seen(DIAGNOSTICS):
             self._findings.add_absent(DIAGNOSTICS)
@@ -214,6 +217,14 @@ class _SessionRun:
         self._completeness.add(message, is_from_node=is_from_node)
         default = "an unknown topic of the node" if is_from_node else "not the node's"
         self._findings.count_not_compared(topic, _SHARED.get(topic, default))
+
+    def _list_foreign_records(self) -> None:
+        """List the attachments that the scene does not name, and the metadata of other tools, as not compared."""
+        files = {f"{FILE_PREFIX}{name}" for name in self.simulation.scene.files}
+        for name in sorted(self._part.attachments.keys() - files - {SCENE_NAME, STATE_NAME}):
+            self._findings.count_not_compared(f"attachment {name}", "not of the scene")
+        for name in sorted(self._part.foreign_metadata):
+            self._findings.count_not_compared(f"metadata {name}", "not of cloth_sim")
 
     def _check_snapshot(self) -> None:
         """Compare the snapshot of a split file with the final state of the previous file."""

@@ -92,7 +92,8 @@ def test_recover_makes_a_complete_file(session: Path, capsys: pytest.CaptureFixt
     assert main(["recover", str(session)]) == 0
     assert "cut off" in capsys.readouterr().out
     mended = session.with_name("session_000_recovered.mcap")
-    assert main(["info", str(mended)]) == 0
+    assert main(["info", str(mended)]) == 1
+    assert "recovered, the recording was cut off" in capsys.readouterr().out
     assert session.read_bytes() == data[:-9000]
 
 
@@ -147,7 +148,7 @@ def test_parts_of_a_session_are_found(tmp_path: Path, capsys: pytest.CaptureFixt
                 if not writer.is_declared(item.topic):
                     writer.declare(item.topic, item.type_name)
                 writer.add(item.topic, item.data, log_time=item.log_time, publish_time=item.log_time, sequence=0)
-        writer.finish(reason="split", notes={"dropped": "0"})
+        writer.finish(reason="split" if index < 2 else "stopped", notes={"dropped": "0"})
     samples.write_session(tmp_path, [], stem="other")
     assert main(["info", "--all-parts", str(tmp_path / "s_001.mcap")]) == 0
     assert "(180 records)" in capsys.readouterr().out
