@@ -218,7 +218,8 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
     """Read the rows of a binary PLY file as arrays; None if an element's rows differ in length or the size is wrong."""
     rows: dict[str, NDArray[np.void]] = {}
     offset = 0
-    for element in elements:
+    # An element without rows has no first row, whose lists give the lengths.
+    for element in filter(lambda element: element.count, elements):
         fields: list[tuple[str, str, tuple[int, ...]]] = []
         lengths: dict[str, int] = {}
         end = offset
@@ -238,7 +239,7 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
         if len({name for name, _, _ in fields}) < len(fields) or (end - offset) * element.count > len(body) - offset:
             return None
         row = np.dtype(fields)
-        rows[element.name] = np.frombuffer(body, row, element.count, offset) if element.count else np.zeros(0, row)
+        rows[element.name] = np.frombuffer(body, row, element.count, offset)
         if any(np.any(rows[element.name][name] != length) for name, length in lengths.items()):
             return None
         offset += row.itemsize * element.count

@@ -58,12 +58,17 @@ def along_grid(scene: MaterialScene, warp_and_weft: tuple[float, float], names: 
         names: the parameters of the quantity, for the error.
 
     Raises:
-        ParameterError: if the two differ and the warp is along neither rows nor columns.
+        ParameterError: if the two differ and the warp is along neither rows nor columns, or perpendicular to both.
     """
     warp, weft = warp_and_weft
     if warp == weft:
         return warp, weft
-    x, y, _ = map(abs, scene.material.warp_direction)
+    x, y, z = map(abs, scene.material.warp_direction)
+    if not max(x, y) > _ALIGNED_SINE * z:
+        raise ParameterError(
+            f"material.warp_direction is {list(scene.material.warp_direction)}, perpendicular to the grid, and {names} "
+            f"is {warp} along the warp and {weft} along the weft; choose a direction in its plane, e.g. [0.0, 1.0, 0.0]"
+        )
     if not is_oblique(scene):
         return (weft, warp) if y > x else (warp, weft)
     raise ParameterError(

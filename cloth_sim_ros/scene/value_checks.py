@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any, Protocol
 
@@ -104,6 +105,12 @@ def _faults(scene: SceneValues) -> Iterator[str]:
         yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
     if not any(scene.material.warp_direction):
         yield "material.warp_direction is [0.0, 0.0, 0.0]; give a direction, e.g. [0.0, 1.0, 0.0]"
+    viscosity, modulus = scene.material.viscosity, scene.material.stretch_modulus
+    if not math.isfinite(viscosity / modulus):
+        yield (
+            f"material.viscosity is {viscosity} N s/m and material.stretch_modulus {modulus} N/m; their ratio must be "
+            "finite: raise the modulus, or set the viscosity to 0.0"
+        )
     if scene.ensemble.members == 1:
         yield "ensemble.members is 1, and a single cloth has no deviation; take 2 or more, or 0 for sigma points"
     orientations = {

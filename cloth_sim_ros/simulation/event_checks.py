@@ -87,6 +87,8 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
         return _check_parameters(event, scene, state)
     elif isinstance(event, Reset):
         _check_start(scene, scene.obstacle_names, initial, "the cloth as it starts")
+        subject = f"gripper.opening is {scene.gripper.opening:.4g} m; a reset"
+        check_stops(scene, initial, subject, "set the opening of the start")
     elif isinstance(event, Relax) and not 1.0 <= event.factor <= relaxation.MAX_FACTOR:
         raise EventError(f"a tolerance is relaxed {event.factor} times; it must be from 1 to {relaxation.MAX_FACTOR:g}")
     elif not isinstance(event, Event):
@@ -194,26 +196,42 @@ def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene
 
 
 def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
-    """Raise EventError if a new contact thickness would put pads beyond a stop, each other or their opening."""
-    thickness = new_scene.contact.thickness
-    if thickness == scene.contact.thickness:
-        return
-    memory = state.memory
-    if JAWS_KEY not in memory:
+    """Raise EventError if a new contact thickness or opening would put pads beyond a stop, each other or their opening."""
+    thickness, opening = new_scene.contact.thickness, new_scene.gripper.opening
+    if thickness != scene.contact.thickness:
+        check_stops(new_scene, state, f"contact.thickness is {thickness:.4g} m; it", "set it once they are at rest")
+    elif opening != scene.gripper.opening:
+        check_stops(new_scene, state, f"gripper.opening is {opening:.4g} m; it", "set it once they are closed")
+
+
+def check_stops(scene: Scene, state: State, subject: str, remedy: str) -> None:
+    """Raise EventError for a state whose pads are beyond a stop: pads stop at each other and at their opening.
+
+    Args:
+        scene: gives opening and contact thickness.
+        state: state with half openings.
+        subject: beginning of the message.
+        remedy: what may be done, except to choose larger values.
+
+    Raises:
+        EventError: naming the gripper.
+    """
+    memory, thickness = state.memory, scene.contact.thickness
+    if not scene.pinching or len(memory.get(JAWS_KEY, ())) != len(scene.pinching) or "gripper.closed" not in memory:
+        # The state has no pads, or those of another scene. Pads start open then.
         return
     setpoints = (
         memory[SETPOINTS_KEY][:, 0].tolist() if SETPOINTS_KEY in memory else [NO_SETPOINT[0]] * len(scene.pinching)
     )
     indices = [scene.gripper_names.index(name) for name in scene.pinching]
     drives = zip(memory[JAWS_KEY].tolist(), memory["gripper.closed"][indices].tolist(), setpoints, strict=True)
-    for pads, ((half_opening, _), closed, setpoint) in zip(pads_of(new_scene, 1.0), drives, strict=True):
+    for pads, ((half_opening, _), closed, setpoint) in zip(pads_of(scene, 1.0), drives, strict=True):
         inner, outer = pads.half_opening_range(bool(closed), setpoint, thickness)
         clearance = _stop_clearance(half_opening, inner, outer, thickness)
         if clearance < _MIN_STOP_CLEARANCE * thickness:
             raise EventError(
-                f"contact.thickness is {thickness:.4g} m; it would leave the pads of '{pads.gripper}' {clearance:.4g} "
-                f"m from their stop, and they need {_MIN_STOP_CLEARANCE * thickness:.4g} m; set it once they are at "
-                "rest, or choose a larger one"
+                f"{subject} would leave the pads of '{pads.gripper}' {clearance:.4g} m from their stop, and they need "
+                f"{_MIN_STOP_CLEARANCE * thickness:.4g} m; {remedy}, or choose a larger one"
             )
 
 

@@ -132,12 +132,12 @@ class GripperScript:
         for first, second in itertools.pairwise(waypoints):
             if second.time <= first.time:
                 raise ScriptError(f"two positions are at {second.time} s; a gripper is in one place at a time")
-        interpolation = str(entries.get("interpolation", MINIMUM_JERK))
+        interpolation = _read_text(entries, "interpolation", MINIMUM_JERK)
         if interpolation not in INTERPOLATIONS:
             raise ScriptError(f"interpolation is '{interpolation}'; it must be one of {', '.join(INTERPOLATIONS)}")
         return cls(
-            gripper=str(entries.get("gripper", "gripper")),
-            frame_id=str(entries.get("frame_id", "")),
+            gripper=_read_text(entries, "gripper", "gripper"),
+            frame_id=_read_text(entries, "frame_id", ""),
             rate=rate,
             waypoints=tuple(waypoints),
             grasps=tuple(grasps),
@@ -295,6 +295,13 @@ def _checked_entries(content: Any, name: str, *, needed: set[str], known: set[st
     if missing:
         raise ScriptError(f"{name} has no '{missing[0]}'")
     return dict(content)
+
+
+def _read_text(entries: Mapping[str, Any], name: str, default: str) -> str:
+    value = entries.get(name, default)
+    if not isinstance(value, str):
+        raise ScriptError(f"{name} is {value!r}; it must be a text: write it in quotes, or leave it out")
+    return value
 
 
 def _read_number(value: Any, name: str) -> float:

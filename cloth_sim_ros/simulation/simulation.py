@@ -26,7 +26,7 @@ from cloth_sim_ros.simulation import contact_recovery as recoveries
 from cloth_sim_ros.simulation.bodies import bodies
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.contact_recovery import ContactRecovery, contact_recovery, pad_rows, reduce_contacts
-from cloth_sim_ros.simulation.event_checks import check, check_all, check_new_scene
+from cloth_sim_ros.simulation.event_checks import check, check_all, check_new_scene, check_stops
 from cloth_sim_ros.simulation.events import (
     Event,
     Grasp,
@@ -96,6 +96,9 @@ class Simulation(ExclusiveAccess):
         if self.plan.contact is not None:
             thickness = scene.contact.thickness
             if not self.state.frame or self.state.thickness not in (None, thickness):
+                if scene.initial_state or state is not None:
+                    subject = f"gripper.opening is {scene.gripper.opening:.4g} m; the state"
+                    check_stops(scene, self.state, subject, "save one with closed pads")
                 self.plan.contact.check_initial_penetration(self.time, self.state.x, self.state.memory)
                 reduce_contacts(self.plan, self.state, self.time, "the cloth")
             self.state.thickness = thickness

@@ -308,3 +308,21 @@ def test_no_accepted_error_is_approximate(monkeypatch: pytest.MonkeyPatch) -> No
         for _ in range(60):
             simulation.advance()
     assert len(set(changed)) > 2
+
+
+def test_attempt_that_cannot_get_finer_is_abandoned(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The joint pulls two corners together through the cloth, and the work limit allows no finer steps.
+    values = {"cloth.resolution": [8, 4], "cloth.size": [0.35, 0.26], "cloth.anchors": [""], "cloth.joints": ["0-3"]}
+    values |= {"contact.self": True, "contact.thickness": 0.015, "grippers": [""]}
+    simulation, reject, attempts = Simulation(Scene.from_parameters(values)), Controller.reject_unstable, []
+
+    def count(controller: Controller, *arguments: Any) -> None:
+        attempts.append(controller)
+        assert len(attempts) < 20000, "the same attempt is repeated"
+        reject(controller, *arguments)
+
+    monkeypatch.setattr(Controller, "reject_unstable", count)
+    before = simulation.state.digest()
+    with pytest.raises(UnstableError):
+        simulation.advance()
+    assert simulation.state.digest() == before

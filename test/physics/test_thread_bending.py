@@ -51,6 +51,16 @@ def test_strips_of_a_mesh_have_the_moduli_of_the_threads(angle, ratio, jitter, e
     assert (plate.along_x, plate.along_y) == pytest.approx(moduli, rel=error)
 
 
+def test_two_moduli_of_a_single_hinge_are_refused():
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        positions = corners + random.uniform(-0.4, 0.4, (4, 3)) * [1.0, 1.0, 0.0]
+        # The tensor of one hinge is singular. Its determinant is a rounding error of either sign.
+        with pytest.raises(ValueError, match="do not resist every curvature; use a finer mesh"):
+            thread_factors([[1, 2, 0, 3]], positions, np.ones(1), moduli=(1.0, 2.0), warp=(1.0, 0.0, 0.0))
+
+
 @pytest.mark.parametrize("curvature", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 def test_folds_are_those_of_a_curved_sheet(curvature):
     """Folds measured on the surface z = (κ11 w² + κ22 f² + 2 κ12 w f) / 2 along warp w and weft f."""

@@ -258,6 +258,8 @@ def test_script_moves_smoothly_and_rests_in_each_waypoint() -> None:
         (script({"time": 0.0, "close": True}), "no step has a position"),
         (script({"time": 0.0, "position": [0, 0, 0], "close": 1}), "true or false"),
         (script({"time": 0.0, "position": [0, 0, 0]}, rate=0.0), "rate is 0.0 Hz"),
+        (script({"time": 0.0, "position": [0, 0, 0]}, frame_id=None), "frame_id is None; it must be a text"),
+        (script({"time": 0.0, "position": [0, 0, 0]}, gripper=False), "gripper is False; it must be a text"),
     ],
 )
 def test_senseless_scripts_are_refused(content: Any, message: str) -> None:

@@ -134,6 +134,10 @@ def test_plane_of_coverage_needs_no_contact(client: Client) -> None:
         cloth.tick(1)
         client.spin_until(lambda: received, description="the covered area")
         assert received[-1].data == pytest.approx(0.5 * 0.4, abs=1e-9)
+        cloth.node.node.set_parameters_atomically([Parameter("table.size", value=[0.2, 0.1, 0.02])])
+        cloth.tick(2)
+        client.spin_until(lambda: len(received) == 3, description="the area of a smaller table")
+        assert received[-1].data == pytest.approx(0.2 * 0.1, abs=1e-9)
 
 
 def test_node_without_parameters_has_no_ground_truth(client: Client) -> None:

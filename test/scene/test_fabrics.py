@@ -133,6 +133,7 @@ def test_warp_along_rows_exchanges_the_threads():
 
 
 OBLIQUE = {"material.warp_direction": [1.0, 1.0, 0.0]}
+ACROSS = {"material.warp_direction": [0.0, 0.0, 1.0]}
 
 
 @pytest.mark.parametrize(
@@ -143,6 +144,8 @@ OBLIQUE = {"material.warp_direction": [1.0, 1.0, 0.0]}
         ({**OBLIQUE, "membrane.model": "triangles"}, r"bending\.model axial follows the grid's rows"),
         ({"material.warp_direction": [0.0, 0.0, 0.0]}, "give a direction"),
         ({"material.warp_direction": [0.0, 0.0, 1.0], "membrane.model": "triangles"}, "in its plane"),
+        ({**ACROSS, "material.stretch_modulus_weft": 300.0}, "perpendicular to the grid, and material.stretch_modulus"),
+        ({**ACROSS, "bending.stiffness_weft": 1.0}, "perpendicular to the grid, and bending.stiffness is 2.0 along"),
         (
             {"membrane.model": "triangles", "material.poisson_ratio": 0.9, "material.stretch_modulus_weft": 4000.0},
             r"material\.poisson_ratio is 0\.9; it must be between -0\.49999975 and",

@@ -40,6 +40,20 @@ def test_wrong_values_of_a_file_are_named_together(tmp_path: Path) -> None:
     assert len(str(caught.value).splitlines()) == len(WRONG)
 
 
+@pytest.mark.parametrize(("entry", "value"), [("frame_id: no", False), ("cloth.anchors: [3, 4]", 3)])
+def test_text_that_yaml_reads_as_another_type_needs_quotes(tmp_path: Path, entry: str, value: object) -> None:
+    path = tmp_path / "plain.yaml"
+    path.write_text(f"/**:\n  ros__parameters:\n    {entry}\n")
+    with pytest.raises(ParameterError, match=rf"is {value}, of type .*; it must be string.*: write it in quotes"):
+        Scene.from_file(path)
+
+
+def test_viscosity_beyond_any_ratio_to_the_modulus_is_refused() -> None:
+    values = {"material.viscosity": 1e4, "material.stretch_modulus": 3e-308, "bending.model": "none"}
+    (sentence,) = sentences(values)
+    assert sentence.startswith("material.viscosity is 10000.0 N s/m and material.stretch_modulus 3e-308 N/m; their")
+
+
 def test_faults_that_no_range_shows_are_named_together() -> None:
     values = {
         "cloth.resolution": [4096, 4096],

@@ -26,6 +26,10 @@ SCENES = {
     "calm": {"air.drag": 0.0, "wind.normal_drag": 0.0},
     "windy": {"air.drag": 0.3, "wind.normal_drag": 0.0},
     "fixed step": {"step": 1e-4},
+    "no error control": {"integrator": "symplectic_euler"},
+    "viscous": {"material.viscosity": 0.01, "bending.model": "none"},
+    "viscous axial": {"material.viscosity": 0.01},
+    "viscous hinges": {"material.viscosity": 0.01, "bending.model": "crossed", **MODULUS},
     "no grippers": {"grippers": [""]},
 }
 CHANGED_VALUES = {
@@ -81,3 +85,18 @@ def test_each_parameter_is_reported_once():
         "bending.stiffness is set and has no effect: cloth.springs has stiffnesses and damping of its own, and "
         "bending.model is none"
     )
+
+
+@pytest.mark.parametrize(
+    ("values", "name"),
+    [
+        ({"integrator": "symplectic_euler", "work_limit": 2.0}, "work_limit"),
+        ({"step": 1e-4, "overload": "relax"}, "overload"),
+        ({"tolerance": 0.0, "overload": "relax"}, "overload"),
+        ({"coverage.resolution": 0.01}, "coverage.resolution"),
+        ({"record.snapshot_period": 1.0}, "record.snapshot_period"),
+    ],
+)
+def test_settings_of_what_is_off_are_reported(values, name):
+    (sentence,) = ineffective_parameters(Scene.from_parameters(values), values)
+    assert sentence.startswith(f"{name} is set and has no effect: ")

@@ -93,6 +93,15 @@ def test_ply_of_triangles_needs_no_further_package(monkeypatch: pytest.MonkeyPat
         mesh_file.read(TEXT, name="cloth.ply")
 
 
+def test_lists_without_rows_have_no_length() -> None:
+    # Read as the length of a list, the first coordinate is 3 billion.
+    points = [(x - 2.0, y, z) for x, y, z in POINTS]
+    elements = ("patch", 0, ("list uint double control",)), ("vertex", 5, XYZ), ("face", 3, CORNERS)
+    data = head("binary_little_endian", *elements) + b"".join(struct.pack("<3f", *point) for point in points)
+    data += b"".join(struct.pack("<B3i", 3, *triangle) for triangle in TRIANGLES)
+    assert mesh_file.read(data, name="cloth.ply").positions.tolist() == [list(point) for point in points]
+
+
 def test_triangle_strips_are_triangles() -> None:
     header = head("ascii", ("vertex", 5, XYZ), ("tristrips", 1, ("list int int vertex_indices",)))
     mesh = mesh_file.read(header + f"{ROWS}8 3 0 2 1 -1 2 1 4\n".encode(), name="cloth.ply")

@@ -24,7 +24,7 @@ from cloth_sim_ros.physics.plan.runs import RunSummary
 from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
-from cloth_sim_ros.simulation.events import Move, SetParameters, Target
+from cloth_sim_ros.simulation.events import Grasp, Move, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.run import verify
 
@@ -147,6 +147,33 @@ def test_thickness_that_puts_pads_beyond_stops_is_refused() -> None:
     with pytest.raises(EventError, match=r"leave the pads of 'hand' 0.0005 m from their stop, and"):
         cloth.check(SetParameters({"contact.thickness": 0.004}))
     assert math.isfinite(cloth.advance().advance.step)
+
+
+def test_opening_far_below_that_of_open_pads_is_refused() -> None:
+    hand = {"grippers": ["hand"], "gripper.mode": "pinch", "gripper.opening": 0.06}
+    cloth = Simulation(Scene.from_parameters({**LYING, **hand, "obstacles": ["table"]}))
+    cloth.advance([Target("hand", (0.0, 0.0, 0.3))])
+    with pytest.raises(
+        EventError, match=r"gripper.opening is 0.03 m; .* pads of 'hand' .*; set it once they are closed"
+    ):
+        cloth.check(SetParameters({"gripper.opening": 0.03}))
+    cloth.advance([Grasp("hand", True)])
+    for _ in range(40):
+        cloth.advance()
+    cloth.advance([SetParameters({"gripper.opening": 0.03})])
+    assert math.isfinite(cloth.advance([Grasp("hand", False)]).advance.step)
+
+
+def test_saved_state_of_pads_beyond_the_opening_is_refused() -> None:
+    hand = {"grippers": ["hand"], "gripper.mode": "pinch", "gripper.opening": 0.06}
+    values = {**LYING, **hand, "obstacles": [""]}
+    cloth = Simulation(Scene.from_parameters(values))
+    cloth.advance([Target("hand", (0.0, 0.0, 0.3))])
+    files = {"open.state": cloth.state.to_bytes()}
+    loaded = {**values, "initial_state": "open.state"}
+    assert Simulation(Scene.from_parameters(loaded, files=files)).advance().moved
+    with pytest.raises(ValueError, match=r"gripper.opening is 0.03 m; the state would leave the pads of 'hand' -0.0"):
+        Simulation(Scene.from_parameters({**loaded, "gripper.opening": 0.03}, files=files))
 
 
 def test_large_motion_in_an_implicit_step_does_not_intersect() -> None:

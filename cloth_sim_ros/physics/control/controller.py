@@ -66,9 +66,9 @@ _MIN_PIECE = 2.0**-24
 _ATTRIBUTES = (
     "_allowed _applied_refinement _attempts _before _known_contact_energy _duration _elapsed _ends _error "
     "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_touch _may_turn "
-    "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _stability _start_bounds "
-    "_start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error exhausted in_fallback limit "
-    "n_runs options refinement rejected work __dict__"
+    "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
+    "_stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error "
+    "exhausted in_fallback limit n_runs options refinement rejected work __dict__"
 )
 
 
@@ -207,6 +207,8 @@ class Controller:
         self._is_rough = self._may_turn
         self._piece: Piece | None = None
         self._met_limit, self._halved_step, self._attempts = math.inf, 0.0, 0
+        #: Used work, runs, refinement and piece of the last rejected attempt; None before the first.
+        self._rejected_attempt: tuple[float, int, float, Piece] | None = None
         #: Refinement of estimated runs, that of stability included.
         self._applied_refinement = 1.0
 
@@ -672,7 +674,10 @@ class Controller:
         n_runs = self.n_runs
         while self._may_touch and n_runs > 1 and not self._fits(n_runs, refinement, piece):
             n_runs -= 1
-        if not has_failed and self._fits(n_runs, refinement, piece):
+        # The work limit may shorten a finer attempt to the rejected one, whose runs are known.
+        attempt = self.work.used, self.n_runs, self.refinement, piece
+        is_repeated, self._rejected_attempt = attempt == self._rejected_attempt, attempt
+        if not has_failed and not is_repeated and self._fits(n_runs, refinement, piece):
             if self._has_tolerance:
                 # The recorded error is valid for the same runs and multirate ratio.
                 self.estimates_error = self.estimates_error or n_runs < self.n_runs or piece.ratio != self._ratio

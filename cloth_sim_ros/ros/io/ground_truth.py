@@ -60,11 +60,17 @@ class CoverageTopic:
 
     def __init__(self, node: Node, simulation: Simulation, sink: RecordSink) -> None:
         self._simulation, self.coverage = simulation, Coverage(simulation.scene)
+        self._description = simulation.scene.described[self.coverage.obstacle]
         self.output = Output(node, Float64, "~/coverage", sink, qos=NEWEST_QOS)
 
     def send(self, _stamp: int) -> None:
         """Publish the covered area [m^2], a Float64 without stamp, if the topic has subscribers."""
         if self.output.has_subscribers:
+            scene = self._simulation.scene
+            # The size of an obstacle may change while obstacles does not name it.
+            if scene.described[self.coverage.obstacle] != self._description:
+                self.coverage = Coverage(scene)
+                self._description = scene.described[self.coverage.obstacle]
             area = self.coverage.area(self._simulation.state.x, self._pose())
             self.output.publish(bytes(serialize_message(Float64(data=area))))
 

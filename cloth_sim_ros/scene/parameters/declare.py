@@ -164,8 +164,10 @@ class Parameter:
         if kind is float and type(value) is int:
             raise ParameterError(f"{self.name} is the whole number {value}; it is a double: write {float(value)}")
         if type(value) is not kind:
+            # YAML reads a plain no, y or 12 as another type.
+            remedy = ": write it in quotes" if kind is str and isinstance(value, int | float) else ""
             raise ParameterError(
-                f"{self.name} is {_format_value(value)}, of type {type(value).__name__}; it must be {self.kind}"
+                f"{self.name} is {_format_value(value)}, of type {type(value).__name__}; it must be {self.kind}{remedy}"
             )
         if isinstance(value, int | float) and kind is not bool:
             self._check_range(value)

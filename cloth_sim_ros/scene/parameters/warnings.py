@@ -50,6 +50,11 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "cloth.springs has stiffnesses and damping of its own, and bending.model is none",
     ),
     (
+        ("material.damping",),
+        lambda scene: scene.material.viscosity > 0.0 and scene.bending.model in ("none", "axial"),
+        "material.viscosity damps instead of it, and bending.model has no damping of its own",
+    ),
+    (
         ("material.shear_modulus",),
         lambda scene: bool(scene.cloth.mesh) and scene.membrane.model == "springs",
         "the shear modulus of a mesh of springs follows from its stretch modulus; membrane.model triangles uses it",
@@ -100,6 +105,14 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "air.drag, air.added_mass, wind.normal_drag and wind.tangential_drag are all 0",
     ),
     (("tolerance",), lambda scene: scene.step > 0.0, "step is set, and a fixed step holds no tolerance"),
+    (
+        ("tolerance", "overload", "work_limit"),
+        lambda scene: scene.integrator == "symplectic_euler",
+        "symplectic_euler has neither an error control nor a work limit",
+    ),
+    (("overload",), lambda scene: scene.step > 0.0 or not scene.tolerance, "there is no tolerance to relax"),
+    (("coverage.size", "coverage.resolution"), lambda scene: not scene.coverage.obstacle, "coverage.obstacle is empty"),
+    (("record.snapshot_period",), lambda scene: not scene.record.topics, "record.topics is false"),
     (
         (
             "gripper.model",

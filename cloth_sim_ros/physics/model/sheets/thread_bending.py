@@ -27,6 +27,8 @@ from cloth_sim_ros.physics.model.sheets.membrane import along_plane, cross_rows,
 _ITERATIONS = 200
 #: Smallest factor over the largest one.
 _MIN_FRACTION = 1e-3
+#: Smallest determinant of a tensor over the product of its diagonal; that of a singular one is a rounding error.
+_MIN_DETERMINANT = 1e-12
 #: Largest deviation of a modulus from the requested one.
 MAX_DEVIATION = 0.2
 
@@ -107,6 +109,6 @@ def _strip_compliances(tensor: list[float]) -> tuple[float, float]:
     """Return the entries 11 and 22 of the inverse of a symmetric 3x3 matrix, given by its six entries."""
     c11, c12, c13, c22, c23, c33 = tensor
     determinant = c11 * (c22 * c33 - c23 * c23) - c12 * (c12 * c33 - c13 * c23) + c13 * (c12 * c23 - c13 * c22)
-    if not determinant > 0.0:
+    if not determinant > _MIN_DETERMINANT * c11 * c22 * c33:
         raise ValueError("the hinges of this mesh do not resist every curvature; use a finer mesh, or one modulus")
     return (c22 * c33 - c23 * c23) / determinant, (c11 * c33 - c13 * c13) / determinant
