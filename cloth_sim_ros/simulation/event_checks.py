@@ -82,11 +82,12 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
         _check_name("obstacle", event.obstacle, scene.obstacles)
         _check_pose(event.obstacle, event.position, event.orientation)
     elif isinstance(event, MoveObstacles):
-        _check_poses(event, scene)
+        _check_poses(event.obstacles, event.poses, scene)
     elif isinstance(event, SetParameters):
         return _check_parameters(event, scene, state)
     elif isinstance(event, Reset):
-        _check_start(scene, scene.obstacle_names, initial, "the cloth as it starts")
+        _check_reset(event, scene)
+        _check_start(scene, scene.obstacle_names, initial, "the cloth as it starts", event)
     elif isinstance(event, Relax) and not 1.0 <= event.factor <= relaxation.MAX_FACTOR:
         raise EventError(f"a tolerance is relaxed {event.factor} times; it must be from 1 to {relaxation.MAX_FACTOR:g}")
     elif not isinstance(event, Event):
@@ -141,9 +142,24 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
             raise EventError(f"target of '{name}': {error}") from error
 
 
-def _check_poses(event: MoveObstacles, scene: Scene) -> None:
-    """Refuse an event that moves several obstacles, if a name or a pose is invalid, or a name is repeated."""
-    names, poses = event.obstacles, event.poses
+def _check_reset(event: Reset, scene: Scene) -> None:
+    """Refuse a reset with an invalid name or pose, and with a pose of an obstacle that joints hold to the cloth."""
+    if not event.obstacles and not event.poses:
+        return
+    lengths = {len(pose) for pose in event.poses}
+    poses = np.array(event.poses) if len(lengths) == 1 else np.zeros((len(event.poses), 0))
+    _check_poses(event.obstacles, poses, scene)
+    joined = scene.joined_obstacles
+    for name in event.obstacles:
+        if name in joined:
+            raise EventError(
+                f"a reset gives a pose of obstacle '{name}', which joints hold to the cloth (cloth.joints): it starts "
+                "where the scene has it; leave it out"
+            )
+
+
+def _check_poses(names: Sequence[str], poses: Array, scene: Scene) -> None:
+    """Refuse poses of several obstacles, if a name or a pose is invalid, or a name is repeated."""
     known = set(scene.obstacle_names)
     if not known.issuperset(names):
         _check_name("obstacle", next(name for name in names if name not in known), scene.obstacles)
@@ -257,14 +273,19 @@ def _check_present_pads(scene: Scene, state: State) -> None:
         _check_faces(scene, [pinching.boxes[k] for k in placed_pads], pinching.poses()[placed_pads], state, "the cloth")
 
 
-def _check_start(scene: Scene, names: Sequence[str], state: State, subject: str) -> None:
-    """Refuse a state that is inside named obstacles. Obstacles stand at the state's poses, or else at their start."""
+def _check_start(scene: Scene, names: Sequence[str], state: State, subject: str, reset: Reset | None = None) -> None:
+    """Refuse a state that is inside named obstacles.
+
+    Obstacles stand at the poses of a reset, or else of the state, or else at their start.
+    """
     if not names:
         return
     from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
 
     try:
         obstacles = Obstacles(scene.solids, scene.described, state.shallow_copy())
+        if reset is not None:
+            obstacles.set_poses(reset)
         obstacles.check_outside(names, scene.anchored_particles())
     except ValueError as error:
         raise EventError(f"{subject} {error}") from error
