@@ -151,12 +151,18 @@ def _check(options: argparse.Namespace) -> int:
 
 def _view(options: argparse.Namespace) -> int:
     """Show the results of a study as the options demand; return the exit status."""
+    from cloth_sim_ros.session.output_files import OutputError, check_outputs
+    from cloth_sim_ros.studies.folder import StudyFolder
     from cloth_sim_ros.studies.view import view
 
     if options.plot is not None and not (options.outcome and options.over):
         raise StudyError("--plot draws an outcome over a factor: it needs --outcome and --over")
     if options.save is not None and options.number is None:
         raise StudyError("--save writes one run: it needs --run")
+    try:
+        check_outputs({"--plot": options.plot, "--save": options.save}, StudyFolder(options.folder).own_files())
+    except OutputError as error:
+        raise StudyError(str(error)) from error
     return view(
         options.folder,
         outcome=options.outcome,
