@@ -160,7 +160,7 @@ def _view(options: argparse.Namespace) -> int:
     if options.save is not None and options.number is None:
         raise StudyError("--save writes one run: it needs --run")
     try:
-        check_outputs({"--plot": options.plot, "--save": options.save}, StudyFolder(options.folder).own_files())
+        check_outputs({"--plot": options.plot, "--save": options.save}, StudyFolder(options.folder).study_files())
     except OutputError as error:
         raise StudyError(str(error)) from error
     return view(

@@ -33,8 +33,8 @@ class PadStops:
     would crush the layer, and all obstacles would stop. Pads of two hands, and of two links of one finger, may come
     closer.
 
-    A stop takes only the closing part of a motion away. Several joints that move both pads alike go on: those of two
-    arms that carry what is between their palms, and those of fingers that turn it.
+    A stop takes only the closing part of a motion away. Joints that move both pads alike go on. So two arms carry what
+    is between their palms, and fingers turn it.
 
     Args:
         scene: has the pads as obstacles, `robot.pads`, `robot.pad_gap` and `contact.thickness`.
@@ -124,7 +124,7 @@ class PadStops:
     def _slide(self, a: int, b: int, joints: list[int], stopped: Array, end: Array) -> Array:
         """Return joint positions on the way from a stop to `end`, without the motion that closes two pads.
 
-        Each joint makes a fraction of its step, from -1 to 1; joints that close the pads make less of it, and a joint
+        Each joint makes a fraction of its step, from -1 to 1. Joints that close the pads make less of it. A joint
         without a step stands. The pads move by the smallest gap at most relative to each other, so that they do not
         pass each other. The stop itself is returned if no such position keeps the gap.
         """
