@@ -25,6 +25,8 @@ FIXED, SHARED, PER_RECORDING = "no", "shared", "each"
 MAX_OFFSET = 0.6
 #: Spacing of the time offsets that the search examines first [s].
 _OFFSET_STEP = 0.04
+#: Tolerance of a refined time offset [s].
+_OFFSET_TOLERANCE = 1e-4
 #: Standard deviations of the prior: time offset [s], rotation [rad] and shift [m] of the camera.
 PRIOR_SIGMAS = (0.3, *(0.2,) * 3, *(0.3,) * 3)
 #: Difference steps of the same unknowns.
@@ -228,34 +230,68 @@ def search_alignment(
     clouds: Sequence[NDArray[np.int64]],
     model: AlignmentModel,
     offsets: tuple[float, float],
+    *,
+    is_refined: bool = False,
 ) -> tuple[Alignment, float]:
     """Return the alignment that fits all given recordings best, by a grid of time offsets, and its mean distance [m].
 
     Each time offset on a grid has its best camera pose in closed form. The cost is the mean of the points' distances
     after it. Bare points give no pose: their mean distance from the surface decides on the offset alone.
+
+    Args:
+        recordings: the recordings.
+        trajectories: simulated motion of each.
+        clouds: indices of the clouds of each.
+        model: the unknowns.
+        offsets: smallest and largest time offset [s].
+        is_refined: true to minimise the cost between the neighbours of the best time offset on the grid. A fit needs
+            only the grid, because its least squares refine the offset.
     """
-    pivot = np.array(model.pivot)
-    results = []
-    for offset in np.linspace(*offsets, round((offsets[1] - offsets[0]) / _OFFSET_STEP) + 1).tolist():
-        alignment = Alignment(offset=offset)
-        if not all(recording.matched for recording in recordings):
-            parts = [
-                cloud_residuals(recording, trajectory, alignment, pivot, indices)
-                for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True)
-            ]
-            distances = np.concatenate([np.abs(r).ravel() for part in parts for r in part])
-            results.append((float(distances.mean()), alignment))
-            continue
-        simulated, measured = [], []
-        for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True):
-            frames = _frames_from(recording, trajectory)[indices] - offset * recording.scene.rate
-            for cloud, x in zip(_selected(recording, indices), trajectory.sample(frames), strict=True):
-                seen = is_visible(cloud)
-                simulated.append(x[seen])
-                measured.append(cloud[seen])
-        results.append(_register(np.concatenate(simulated), np.concatenate(measured), offset, model))
-    cost, best = min(results, key=lambda result: result[0])
+    from scipy.optimize import minimize_scalar
+
+    def align(offset: float) -> tuple[float, Alignment]:
+        return _align(recordings, trajectories, clouds, model, offset)
+
+    grid = np.linspace(*offsets, round((offsets[1] - offsets[0]) / _OFFSET_STEP) + 1).tolist()
+    cost, best = min((align(offset) for offset in grid), key=lambda result: result[0])
+    if is_refined and len(grid) > 1:
+        bounds = max(best.offset - _OFFSET_STEP, offsets[0]), min(best.offset + _OFFSET_STEP, offsets[1])
+        # Costs near 1 at any unit and noise of the clouds.
+        scale = cost or 1.0
+        minimum = minimize_scalar(
+            lambda offset: align(offset)[0] / scale,
+            bounds=bounds,
+            method="bounded",
+            options={"xatol": _OFFSET_TOLERANCE},
+        )
+        cost, best = min((cost, best), align(float(minimum.x)), key=lambda result: result[0])
     return best, cost
+
+
+def _align(
+    recordings: Sequence[FitRecording],
+    trajectories: Sequence[SimulatedMotion],
+    clouds: Sequence[NDArray[np.int64]],
+    model: AlignmentModel,
+    offset: float,
+) -> tuple[float, Alignment]:
+    """Return the cost [m] and the alignment with a time offset [s], see `search_alignment`."""
+    if not all(recording.matched for recording in recordings):
+        alignment, pivot = Alignment(offset=offset), np.array(model.pivot)
+        parts = [
+            cloud_residuals(recording, trajectory, alignment, pivot, indices)
+            for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True)
+        ]
+        distances = np.concatenate([np.abs(r).ravel() for part in parts for r in part])
+        return float(distances.mean()), alignment
+    simulated, measured = [], []
+    for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True):
+        frames = _frames_from(recording, trajectory)[indices] - offset * recording.scene.rate
+        for cloud, x in zip(_selected(recording, indices), trajectory.sample(frames), strict=True):
+            seen = is_visible(cloud)
+            simulated.append(x[seen])
+            measured.append(cloud[seen])
+    return _register(np.concatenate(simulated), np.concatenate(measured), offset, model)
 
 
 def _register(x: Array, y: Array, offset: float, model: AlignmentModel) -> tuple[float, Alignment]:

@@ -98,11 +98,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _input_files(options: argparse.Namespace) -> list[Path]:
-    """Return the files that the command reads: recordings, files in the folder of a bag, the scene, tables of poses."""
+    """Return the files that the command reads: recordings, files of a bag's folder, scene and its files, poses."""
     from cloth_sim_ros.fit.tables import is_table
+    from cloth_sim_ros.scene.named_files import named_files
     from cloth_sim_ros.session.bag import bag_files
 
-    inputs = [*options.session, *([] if options.scene is None else [options.scene])]
+    inputs = list(options.session)
+    if options.scene is not None:
+        inputs += [options.scene, *named_files(options.scene)]
     for path in options.session:
         if path.is_dir():
             inputs += [*bag_files(path), path / "metadata.yaml"]
@@ -249,6 +252,7 @@ def _prepare_real(
     camera_pose = None
     if options.camera_pose is not None:
         camera_pose = _parse_numbers(options.camera_pose, 7, "--camera-pose")
+    _check_kinds(options)
     groups = [options.session] if options.parts else [[path] for path in options.session]
     grasped = grasped_of_groups(held, [group[0] for group in groups])
     recordings = []
@@ -269,6 +273,20 @@ def _prepare_real(
     if options.settle is not None:
         settings["settle_time"] = options.settle
     return lambda progress: fit_real(recordings, scene, names, **settings, grasped=grasped, on_progress=progress)
+
+
+def _check_kinds(options: argparse.Namespace) -> None:
+    """Refuse options of bags if all recordings are tables, and options of tables if none is."""
+    from cloth_sim_ros.fit.parameters import FitError
+    from cloth_sim_ros.fit.tables import is_table
+
+    first, has_table = options.session[0], [is_table(path) for path in options.session]
+    if all(has_table):
+        for option, is_set in (("--topic", options.topic is not None), ("--index", bool(options.index))):
+            if is_set:
+                raise FitError(f"{option} is for bags, and {first} is a table; name its columns by --columns")
+    if options.columns and not any(has_table):
+        raise FitError(f"--columns is for tables, and {first} is a bag; name its fields by --topic and --index")
 
 
 def grasped_of_groups(held: dict[str, str], paths: Sequence[Path]) -> dict[str, str] | list[dict[str, str]]:

@@ -306,7 +306,7 @@ def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Ar
     return solution.point.theta, _complete_alignment(problem, solution.point, selected, inside)
 
 
-def align_all(problem: JointProblem, point: Point, selected: Sequence[int]) -> Array:
+def align_all(problem: JointProblem, point: Point, selected: Sequence[int], *, is_refined: bool = False) -> Array:
     """Search over time offsets for the alignment that fits the motions of a point best; return its vector."""
     eta, model = np.zeros(problem.alignment.n_unknowns), problem.alignment
     if not len(eta):
@@ -320,6 +320,7 @@ def align_all(problem: JointProblem, point: Point, selected: Sequence[int]) -> A
             [problem.used[k] for k in group],
             model,
             problem.offsets,
+            is_refined=is_refined,
         )
         for k in group:
             model.write_alignment(eta, k, best)
@@ -544,7 +545,8 @@ def _score_motions(
             continue
         eta = unknowns[k][1]
         if k in outside and not problem.alignment.is_common:
-            eta = aligned[k] = align_all(problem, attrs.evolve(point, trajectories=[result]), [k])
+            alone = attrs.evolve(point, trajectories=[result])
+            eta = aligned[k] = align_all(problem, alone, [k], is_refined=True)
         distances = [np.linalg.norm(r, axis=1) for r in problem.residuals(k, result, eta)]
         scores.append(
             MotionScore(

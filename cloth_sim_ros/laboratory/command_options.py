@@ -68,6 +68,7 @@ def run_test(name: str, options: argparse.Namespace, test: Callable[[], int], **
         outputs: further output files by option.
     """
     from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
+    from cloth_sim_ros.laboratory.samples import scene_files_of
     from cloth_sim_ros.physics.integrators.base import UnstableError
     from cloth_sim_ros.scene.parameters.declare import ParameterError
     from cloth_sim_ros.session.errors import SessionError
@@ -75,7 +76,7 @@ def run_test(name: str, options: argparse.Namespace, test: Callable[[], int], **
 
     files = {"--json": options.json, **{f"--{option}": path for option, path in outputs.items()}}
     try:
-        check_outputs(files, [Path(options.fabric)], endings={"--picture": ".png"})
+        check_outputs(files, [Path(options.fabric), *scene_files_of(options.fabric)], endings={"--picture": ".png"})
         return test()
     except (LaboratoryError, ParameterError, SessionError, UnstableError) as error:
         print(f"{name}: {error}", file=sys.stderr)

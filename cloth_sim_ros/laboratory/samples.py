@@ -14,6 +14,7 @@ import yaml
 from cloth_sim_ros.laboratory.equilibrium import LaboratoryError
 from cloth_sim_ros.scene.fabrics import Fabric, fabrics, read_fabric
 from cloth_sim_ros.scene.files import FABRIC, is_fabric_file
+from cloth_sim_ros.scene.named_files import named_files
 from cloth_sim_ros.scene.parameters import parameter_file, ros_yaml
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
@@ -79,17 +80,37 @@ def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> Fabr
     return FabricSample(fabric=fabric, parameters=_fabric_parameters(scene))
 
 
+def scene_files_of(source: str) -> list[Path]:
+    """Return the files that the scene file of a test names; none for a fabric's name or a fabric file.
+
+    Raises:
+        ParameterError: for a file that can't be read.
+    """
+    if (
+        source in fabrics()
+        or not Path(source).is_file()
+        or "parameters" in _yaml(source, parameter_file.read_text(source))
+    ):
+        return []
+    return named_files(source)
+
+
+def _yaml(source: str, text: str) -> dict[str, Any]:
+    """Return the content of a YAML file; an empty one if it has no members."""
+    try:
+        content = ros_yaml.load(text)
+    except yaml.YAMLError as error:
+        raise ParameterError(f"'{source}' is no YAML: {error}") from error
+    return content if isinstance(content, dict) else {}
+
+
 def _fabric(source: str) -> Fabric:
     if source in fabrics():
         return fabrics()[source]
     if not is_fabric_file(source) and not Path(source).exists():
         raise ParameterError(f"'{source}' is neither a file nor a fabric; the fabrics are {', '.join(fabrics())}")
     text = parameter_file.read_text(source)
-    try:
-        content = ros_yaml.load(text)
-    except yaml.YAMLError as error:
-        raise ParameterError(f"'{source}' is no YAML: {error}") from error
-    if isinstance(content, dict) and "parameters" in content:
+    if "parameters" in _yaml(source, text):
         return read_fabric(source, text.encode())
     values = parameter_file.parse(text, source=source, strict=True)
     scene = Scene.from_parameters(values, folder=Path(source).parent)

@@ -14,7 +14,7 @@ from rclpy.clock import Clock, ClockType
 from cloth_sim_ros.ros.check.feasibility import check_feasibility
 from cloth_sim_ros.ros.check.performance_estimate import measure_step_cost
 from cloth_sim_ros.ros.io import parameters
-from cloth_sim_ros.ros.io.inputs import Inputs
+from cloth_sim_ros.ros.io.inputs import Inputs, link_reset
 from cloth_sim_ros.ros.io.outputs import Outputs
 from cloth_sim_ros.ros.process.failure import FailureGuard, ignore_errors_after_shutdown
 from cloth_sim_ros.ros.process.worker_thread import InterruptibleLock, run_inline
@@ -71,6 +71,9 @@ class ClothNode:
         log = ThrottledLog(self.node.get_logger())
         log.flush()
         simulation = Simulation(scene)
+        if robot is not None and scene.initial_state:
+            # The file has the links where they were, and the scene where the robot is.
+            simulation.restart(link_reset(scene))
         check_feasibility(scene, simulation)
         if simulation.state.dropped_memory:
             log.info("initial state", describe_left_out(simulation))

@@ -7,7 +7,7 @@ A recording stores their content too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,11 +38,7 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
         ParameterError: for a file that can't be read.
     """
     content: dict[str, bytes] = {}
-    mesh_parameters = [name for name in values if name.endswith(_MESH_SUFFIX) and name not in FILE_PARAMETERS]
-    for parameter in (*FILE_PARAMETERS, FABRIC, *mesh_parameters):
-        name = values.get(parameter)
-        if not isinstance(name, str) or not name or (parameter == FABRIC and not is_fabric_file(name)):
-            continue
+    for parameter, name in named(values):
         content[name] = known[name] if name in known else file_content(parameter, Path(folder) / name)
         n_bytes = integer_sum(map(len, content.values()))
         if n_bytes > MAX_BYTES:
@@ -50,6 +46,15 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
                 f"{parameter} '{name}': the files of the scene have {n_bytes} bytes; at most {MAX_BYTES} are taken"
             )
     return content
+
+
+def named(values: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield each of the parameter values that names a file: parameter and name."""
+    mesh_parameters = [name for name in values if name.endswith(_MESH_SUFFIX) and name not in FILE_PARAMETERS]
+    for parameter in (*FILE_PARAMETERS, FABRIC, *mesh_parameters):
+        name = values.get(parameter)
+        if isinstance(name, str) and name and (parameter != FABRIC or is_fabric_file(name)):
+            yield parameter, name
 
 
 def is_fabric_file(name: str) -> bool:

@@ -29,7 +29,14 @@ from cloth_sim_ros.scene import coverage, fabrics, gripper_parameters, keypoints
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import obstacles as scene_obstacles
-from cloth_sim_ros.scene.build import anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
+from cloth_sim_ros.scene.build import (
+    anchored_particles,
+    build_model,
+    build_plan,
+    build_sheet,
+    grid_threads_of,
+    obstacle_joints,
+)
 from cloth_sim_ros.scene.camera_section import CameraParameters
 from cloth_sim_ros.scene.gripper_section import NO_ACTION, PINCH, PRESCRIBED
 from cloth_sim_ros.scene.parameters import declare as parameters
@@ -396,6 +403,11 @@ class Scene:
     def unlinked_names(self) -> list[str]:
         """Names of the described obstacles, present or not, that are no links of a robot: these have topics."""
         return [name for name, obstacle in self.described.items() if not obstacle.link]
+
+    @property
+    def joined_obstacles(self) -> frozenset[str]:
+        """Names of the present obstacles that joints hold to the cloth."""
+        return frozenset(name for name, _ in obstacle_joints(self, self.sheet))
 
     @property
     def solids(self) -> list[Obstacle]:

@@ -123,7 +123,7 @@ def _check_types(content: dict[str, Any]) -> None:
     if not all(isinstance(event, dict) for event in content["events"]):
         raise SessionError("a frame record's events are JSON objects")
     for event in content["events"]:
-        for name, (event_kinds, is_valid, description) in _EVENT_CHECKS.items():
+        for name, event_kinds, is_valid, description in _EVENT_CHECKS:
             if event.get("kind") in event_kinds and not is_valid(event.get(name)):
                 raise SessionError(f"a frame record's event {str(event)[:200]} has no '{name}' that is {description}")
 
@@ -176,19 +176,21 @@ _EXTRA_CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "halted": (_are_names, "a list of texts"),
 }
 
-#: Checks of events: kinds of event with this member, predicate and its description, by name.
-_EVENT_CHECKS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
-    "gripper": (("target", "grasp"), lambda value: isinstance(value, str), "a text"),
-    "obstacle": (("move",), lambda value: isinstance(value, str), "a text"),
-    "obstacles": (("move_obstacles",), _are_names, "a list of texts"),
-    "poses": (("move_obstacles",), _are_rows, "a list of lists of numbers"),
-    "position": (("target", "move"), _is_vector, "a list of numbers"),
-    "orientation": (("target", "move"), lambda value: value is None or _is_vector(value), "numbers or null"),
-    "closed": (("grasp",), lambda value: isinstance(value, bool), "true or false"),
-    "opening": (("grasp",), _is_number_or_absent, "a number"),
-    "force": (("grasp",), _is_number_or_absent, "a number"),
-    "speed": (("grasp",), _is_number_or_absent, "a number"),
-    "values": (("set_parameters",), lambda value: isinstance(value, dict), "an object"),
-    "paused": (("pause",), lambda value: isinstance(value, bool), "true or false"),
-    "factor": (("relax",), _is_number, "a number"),
-}
+#: Checks of events: name of a member, kinds of event that have it, predicate and its description.
+_EVENT_CHECKS: tuple[tuple[str, tuple[str, ...], Callable[[Any], bool], str], ...] = (
+    ("gripper", ("target", "grasp"), lambda value: isinstance(value, str), "a text"),
+    ("obstacle", ("move",), lambda value: isinstance(value, str), "a text"),
+    ("obstacles", ("move_obstacles",), _are_names, "a list of texts"),
+    ("poses", ("move_obstacles",), _are_rows, "a list of lists of numbers"),
+    ("obstacles", ("reset",), lambda value: value is None or _are_names(value), "a list of texts"),
+    ("poses", ("reset",), lambda value: value is None or _are_rows(value), "a list of lists of numbers"),
+    ("position", ("target", "move"), _is_vector, "a list of numbers"),
+    ("orientation", ("target", "move"), lambda value: value is None or _is_vector(value), "numbers or null"),
+    ("closed", ("grasp",), lambda value: isinstance(value, bool), "true or false"),
+    ("opening", ("grasp",), _is_number_or_absent, "a number"),
+    ("force", ("grasp",), _is_number_or_absent, "a number"),
+    ("speed", ("grasp",), _is_number_or_absent, "a number"),
+    ("values", ("set_parameters",), lambda value: isinstance(value, dict), "an object"),
+    ("paused", ("pause",), lambda value: isinstance(value, bool), "true or false"),
+    ("factor", ("relax",), _is_number, "a number"),
+)

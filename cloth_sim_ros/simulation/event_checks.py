@@ -82,11 +82,12 @@ def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
         _check_name("obstacle", event.obstacle, scene.obstacles)
         _check_pose(event.obstacle, event.position, event.orientation)
     elif isinstance(event, MoveObstacles):
-        _check_poses(event, scene)
+        _check_poses(event.obstacles, event.poses, scene)
     elif isinstance(event, SetParameters):
         return _check_parameters(event, scene, state)
     elif isinstance(event, Reset):
-        _check_start(scene, scene.obstacle_names, initial, "the cloth as it starts")
+        _check_reset(event, scene)
+        _check_start(scene, scene.obstacle_names, initial, "the cloth as it starts", event)
         subject = f"gripper.opening is {scene.gripper.opening:.4g} m; a reset"
         check_stops(scene, initial, subject, "set the opening of the start")
     elif isinstance(event, Relax) and not 1.0 <= event.factor <= relaxation.MAX_FACTOR:
@@ -143,9 +144,24 @@ def _check_pose(name: str, position: Sequence[float], orientation: Sequence[floa
             raise EventError(f"target of '{name}': {error}") from error
 
 
-def _check_poses(event: MoveObstacles, scene: Scene) -> None:
+def _check_reset(event: Reset, scene: Scene) -> None:
+    """Raise EventError for an invalid name or pose of a reset, and for an obstacle that joints hold to the cloth."""
+    if not event.obstacles and not event.poses:
+        return
+    lengths = {len(pose) for pose in event.poses}
+    poses = np.array(event.poses) if len(lengths) == 1 else np.zeros((len(event.poses), 0))
+    _check_poses(event.obstacles, poses, scene)
+    joined = scene.joined_obstacles
+    for name in event.obstacles:
+        if name in joined:
+            raise EventError(
+                f"a reset gives a pose of obstacle '{name}', which joints hold to the cloth (cloth.joints): it starts "
+                "where the scene has it; leave it out"
+            )
+
+
+def _check_poses(names: Sequence[str], poses: Array, scene: Scene) -> None:
     """Raise EventError if one of the names or poses of several obstacles is invalid, or a name is repeated."""
-    names, poses = event.obstacles, event.poses
     known = set(scene.obstacle_names)
     if not known.issuperset(names):
         _check_name("obstacle", next(name for name in names if name not in known), scene.obstacles)
@@ -196,7 +212,7 @@ def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene
 
 
 def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
-    """Raise EventError if a new contact thickness or opening would put pads beyond a stop, each other or their opening."""
+    """Raise EventError if a new contact thickness or opening puts pads beyond a stop, each other or their opening."""
     thickness, opening = new_scene.contact.thickness, new_scene.gripper.opening
     if thickness != scene.contact.thickness:
         check_stops(new_scene, state, f"contact.thickness is {thickness:.4g} m; it", "set it once they are at rest")
@@ -275,14 +291,19 @@ def _check_present_pads(scene: Scene, state: State) -> None:
         _check_faces(scene, [pinching.boxes[k] for k in placed_pads], pinching.poses()[placed_pads], state, "the cloth")
 
 
-def _check_start(scene: Scene, names: Sequence[str], state: State, subject: str) -> None:
-    """Raise EventError if a cloth is inside named obstacles, which stand at the state's poses, else at their start."""
+def _check_start(scene: Scene, names: Sequence[str], state: State, subject: str, reset: Reset | None = None) -> None:
+    """Raise EventError if a cloth is inside named obstacles.
+
+    Obstacles stand at the poses of a reset, or else of the state, or else at their start.
+    """
     if not names:
         return
     from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
 
     try:
         obstacles = Obstacles(scene.solids, scene.described, state.shallow_copy())
+        if reset is not None:
+            obstacles.set_poses(reset)
         obstacles.check_outside(names, scene.anchored_particles())
     except ValueError as error:
         raise EventError(f"{subject} {error}") from error

@@ -103,9 +103,20 @@ class Step:
     """Command to advance by one frame although the simulation is paused; without a pause it has no effect."""
 
 
+def _pose_tuples(value: Any) -> tuple[Vector, ...]:
+    return tuple(map(_floats, value))
+
+
 @attrs.frozen
 class Reset:
-    """Command to return cloth, grippers and obstacles to the initial state; the frame index continues."""
+    """Command to return cloth, grippers and obstacles to the initial state; the frame index continues.
+
+    Named obstacles start at other poses than those of the scene: a robot's links, where the robot is.
+    """
+
+    obstacles: tuple[str, ...] = attrs.field(default=(), converter=_names)
+    #: Position [m] and quaternion x, y, z, w of each named obstacle, 7 numbers each.
+    poses: tuple[Vector, ...] = attrs.field(default=(), converter=_pose_tuples)
 
 
 @attrs.frozen
@@ -133,7 +144,10 @@ _NAMES = {kind: name for name, kind in _KINDS.items()}
 #: Names of the fields of each kind, cached because recorded runs have events in most frames.
 _FIELDS = {kind: tuple(field.name for field in attrs.fields(kind)) for kind in _NAMES}
 #: Fields that a dict leaves out if they have their default, because older sessions do not have them.
-_OPTIONAL = {"opening": None, "force": 0.0, "speed": 0.0}
+_OPTIONAL: dict[type, dict[str, Any]] = {
+    Grasp: {"opening": None, "force": 0.0, "speed": 0.0},
+    Reset: {"obstacles": (), "poses": ()},
+}
 #: Types of the fields that have no converter.
 _TYPES = {"gripper": str, "obstacle": str, "values": dict, "paused": bool}
 #: Kinds that come before others. Built once, because building a union of types takes longer than the isinstance check.
@@ -166,9 +180,10 @@ def to_dict(event: Event) -> dict[str, Any]:
     """Return an event as a dict of plain values, for `from_dict`; floats keep every bit through JSON."""
     kind = type(event)
     content: dict[str, Any] = {"kind": _NAMES[kind]}
+    optional = _OPTIONAL.get(kind, {})
     for name in _FIELDS[kind]:
         value = getattr(event, name)
-        if name not in _OPTIONAL or value != _OPTIONAL[name]:
+        if name not in optional or value != optional[name]:
             content[name] = _plain(value)
     return content
 
@@ -198,4 +213,4 @@ def _plain(value: Any) -> Any:
         return {name: _plain(entry) for name, entry in value.items()}
     if isinstance(value, np.ndarray):
         return value.tolist()
-    return list(value) if isinstance(value, tuple) else value
+    return [_plain(entry) for entry in value] if isinstance(value, tuple) else value

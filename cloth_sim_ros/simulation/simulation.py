@@ -215,6 +215,17 @@ class Simulation(ExclusiveAccess):
             self._assign(before)
             raise
 
+    @exclusive
+    def restart(self, event: Reset) -> None:
+        """Reset the cloth between frames, as `advance` does at the beginning of one; no time passes.
+
+        Raises:
+            EventError: for a reset that can't take effect.
+        """
+        check(event, self._scene, self.state, self._initial)
+        self._is_rest_verified, self._repeatable_frame = False, None
+        self._reset(event)
+
     def play(
         self, times: ArrayLike, poses: ArrayLike | Mapping[str, ArrayLike], *, closed: Any = None
     ) -> Iterator[Frame]:
@@ -302,7 +313,7 @@ class Simulation(ExclusiveAccess):
                 case Step():
                     is_stepped = True
                 case Reset():
-                    self._reset()
+                    self._reset(event)
         may_reduce = any(isinstance(event, _CONTACT_EVENTS) for event in events)
         recovery = contact_recovery(self.plan, self.state) if may_reduce else None
         is_moved = is_stepped or not self.paused
@@ -439,7 +450,7 @@ class Simulation(ExclusiveAccess):
             accumulate(self._accumulator, self.plan, t, state.x, state.v, self._period, state.memory)
         return True
 
-    def _reset(self) -> None:
+    def _reset(self, event: Reset) -> None:
         frame, paused, factor = self.state.frame, self.paused, relaxation.factor_of(self.state)
         self.state.restore(self._initial)
         stop_anchored(self._scene, self.state)
@@ -449,6 +460,8 @@ class Simulation(ExclusiveAccess):
         self.grippers = bodies.build_grippers(self._scene, self.state)
         self.obstacles = bodies.build_obstacles(self._scene, self.state)
         self.joints = bodies.build_joints(self._scene, self.model, self.state)
+        if self.obstacles is not None:
+            self.obstacles.set_poses(event)
         self._place_bodies()
         reduce_contacts(self.plan, self.state, self.time, "the cloth as it starts")
 

@@ -84,6 +84,11 @@ class StudyFolder:
         """Path of the index: a Parquet table with a row for each run."""
         return self.path / "index.parquet"
 
+    def study_files(self) -> list[Path]:
+        """Return the files of the study itself, those of scenes included, without those of its runs."""
+        files = [path for path in (self.path / "files").rglob("*") if path.is_file()]
+        return [self.study_file, self.index_file, self.path / "study.yaml", self.path / "samples.json", *files]
+
     def session_file(self, run: int) -> Path:
         """Return the path of a run's session."""
         return self.path / "runs" / f"{run // _FILES_PER_FOLDER:03d}" / f"run_{run:07d}.mcap"

@@ -154,6 +154,8 @@ def _check(options: argparse.Namespace) -> int:
 
 def _view(options: argparse.Namespace) -> int:
     """Show the results of a study as the options demand; return the exit status."""
+    from cloth_sim_ros.session.output_files import OutputError, check_outputs
+    from cloth_sim_ros.studies.folder import StudyFolder
     from cloth_sim_ros.studies.view import view
 
     if options.plot is not None and not (options.outcome and options.over):
@@ -166,6 +168,10 @@ def _view(options: argparse.Namespace) -> int:
     if unused:
         shown = "--run opens one run" if opens_run else "--plot draws every run"
         raise StudyError(f"{shown}: it takes no {unused[0]}")
+    try:
+        check_outputs({"--plot": options.plot, "--save": options.save}, StudyFolder(options.folder).study_files())
+    except OutputError as error:
+        raise StudyError(str(error)) from error
     return view(
         options.folder,
         outcome=options.outcome,

@@ -26,6 +26,7 @@ from cloth_sim_ros.verify.certificate import (
     Certificate,
     FrameAccuracy,
     Sample,
+    UnsolvedSample,
 )
 from cloth_sim_ros.verify.independent_integrator import frame_by_dop853
 from cloth_sim_ros.verify.reference_integrator import max_distance
@@ -222,7 +223,11 @@ class _Certifier:
         return frame.tolerance * max(1.0, reference.amplification)
 
     def _sample(self, frame: SimulatedFrame, start: State, reference: Array, accuracy: FrameAccuracy) -> None:
-        independent = frame_by_dop853(self._equations, frame, start)
+        try:
+            independent = frame_by_dop853(self._equations, frame, start)
+        except ArithmeticError as error:
+            self.certificate.unsolved_samples.append(UnsolvedSample(frame=frame.index, reason=str(error)))
+            return
         errors = {
             "stated": max_distance(frame.after.x, reference),
             "independent": max_distance(frame.after.x, independent),

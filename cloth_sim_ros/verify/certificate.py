@@ -168,6 +168,14 @@ class Sample:
         return self.difference <= allowed
 
 
+@attrs.frozen(kw_only=True)
+class UnsolvedSample:
+    """Frame that the independent integrator could not solve."""
+
+    frame: int
+    reason: str
+
+
 @attrs.define(kw_only=True)
 class Certificate:
     """True error of a recorded session, by frame and by window."""
@@ -176,6 +184,8 @@ class Certificate:
     windows: list[AccuracyWindow] = attrs.field(factory=list)
     frames: list[FrameAccuracy] = attrs.field(factory=list)
     samples: list[Sample] = attrs.field(factory=list)
+    unsolved_samples: list[UnsolvedSample] = attrs.field(factory=list)
+    """Frames that the independent integrator could not solve: they are undecided."""
     horizon: float | None = None
     """Time since the beginning or a reset up to which positions are predictable [s]; None if the session is shorter."""
     longest: float = 0.0
@@ -192,4 +202,5 @@ class Certificate:
     @property
     def is_satisfied(self) -> bool:
         """True if every unflagged window with an error bound satisfies it, and the independent integrator agrees."""
-        return not self.windows_with("not kept", "undecided") and all(sample.agrees for sample in self.samples)
+        is_confirmed = not self.unsolved_samples and all(sample.agrees for sample in self.samples)
+        return is_confirmed and not self.windows_with("not kept", "undecided")

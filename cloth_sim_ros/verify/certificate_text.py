@@ -71,6 +71,10 @@ def _sentences(certificate: Certificate) -> list[str]:
     else:
         sentences.append(f"Positions are predictable up to {certificate.horizon:.3g} s from the beginning or a reset.")
     sentences.append(_other_integrator(certificate))
+    if certificate.unsolved_samples:
+        frames = ", ".join(str(sample.frame) for sample in certificate.unsolved_samples[:5])
+        count = pluralize(len(certificate.unsolved_samples), "frame")
+        sentences.append(f"Undecided, because scipy's DOP853 has no solution: {count} ({frames}).")
     sentences.append(f"({certificate.seconds:.1f} s)")
     return sentences
 

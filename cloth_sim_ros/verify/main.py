@@ -36,6 +36,8 @@ UNREADABLE = 2
 OTHER_ARITHMETIC = 3
 #: Exit status with `--accuracy`: equal bits, but an unflagged window violates its error bound, or may do so.
 BOUND_VIOLATED = 4
+#: Maximum number of frames without an independent solution that are listed.
+_MAX_UNSOLVED = 5
 #: In ascending order; the most severe status of several sessions counts.
 _SEVERITY = (SAME, OTHER_ARITHMETIC, BOUND_VIOLATED, DIFFERENT, UNREADABLE)
 
@@ -259,6 +261,8 @@ def _write_certificate(certificate: Certificate, verdict: Verdict, options: argp
     from cloth_sim_ros.verify.certificate_text import describe_accuracy
 
     print(describe_accuracy(certificate), flush=True)
+    for sample in certificate.unsolved_samples[:_MAX_UNSOLVED]:
+        print(f"cloth_verify: {certificate.name}: frame {sample.frame}: {sample.reason}", file=sys.stderr)
     if options.json is not None:
         write_json(certificate, options.json, verdict)
     if options.plot is not None:

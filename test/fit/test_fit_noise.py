@@ -202,6 +202,35 @@ def test_offset_and_camera_pose_are_found() -> None:
     assert max(float(np.abs(r).max()) for r in exact) < 1e-12
 
 
+@pytest.mark.parametrize(
+    ("matched", "offset", "unit"),
+    [(True, 0.1, 1.0), (True, 0.2637, 1e-3), (True, 0.3985, 1.0), (False, -0.0191, 1.0)],
+    ids=["particles", "small cloth", "near the bound", "bare points"],
+)
+def test_refined_offset_is_within_milliseconds(matched: bool, offset: float, unit: float) -> None:
+    camera = attrs.evolve(CAMERA, offset=offset) if matched else Alignment(offset=offset)
+    recording, trajectory = moving_cloth(camera)
+    random = np.random.default_rng(5)
+    clouds = tuple(unit * (cloud + random.normal(scale=0.002, size=cloud.shape)) for cloud in recording.clouds)
+    recording = attrs.evolve(recording, clouds=clouds, matched=matched)
+    trajectory = attrs.evolve(trajectory, x=unit * trajectory.x, v=unit * trajectory.v)
+    pivot = tuple(unit * PIVOT)
+    model = AlignmentModel(n_recordings=1, time=SHARED, camera=SHARED, has_shift=True, pivot=pivot)
+    arguments = [recording], [trajectory], [np.arange(len(clouds))], model, (-0.4, 0.4)
+    coarse, coarse_cost = search_alignment(*arguments)
+    refined, cost = search_alignment(*arguments, is_refined=True)
+    assert refined.offset == pytest.approx(offset, abs=0.003)
+    assert cost <= coarse_cost
+    assert abs(refined.offset - offset) < abs(coarse.offset - offset)
+
+
+def test_fixed_offset_is_not_refined() -> None:
+    recording, trajectory = moving_cloth(CAMERA)
+    model = AlignmentModel(n_recordings=1, time=FIXED, camera=SHARED, has_shift=True, pivot=tuple(PIVOT))
+    arguments = [recording], [trajectory], [np.arange(len(recording.clouds))], model, (0.0, 0.0)
+    assert search_alignment(*arguments, is_refined=True) == search_alignment(*arguments)
+
+
 def test_alignment_derivatives_are_those_of_residuals() -> None:
     recording, trajectory = moving_cloth(CAMERA)
     clouds = np.array([2, 5])

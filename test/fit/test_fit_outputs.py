@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -80,3 +81,59 @@ def test_name_that_is_not_utf_8_is_escaped_in_scene(tmp_path: Path) -> None:
     fit: Any = SimpleNamespace(scene=scene, name=os.fsdecode(b"d\xe9.csv"), estimates=[], doubt="")
     assert write_parameters(fit, tmp_path / "out.yaml") == []
     assert "# The scene of d\\udce9.csv with" in (tmp_path / "out.yaml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("out", ["towel.obj", "cloth.yaml", "ball.obj", "arm.urdf", "meshes/hand.stl"])
+def test_files_that_the_scene_names_are_no_outputs(
+    tmp_path: Path, out: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_main, "_fit", lambda _: pytest.fail("the fit began"))
+    (tmp_path / "meshes").mkdir()
+    for name in ("towel.obj", "cloth.yaml", "ball.obj", "meshes/hand.stl"):
+        (tmp_path / name).write_text("x")
+    mesh = '<collision><geometry><mesh filename="{}"/></geometry></collision>'
+    shapes = mesh.format("meshes/hand.stl") + mesh.format("package://absent/arm.stl")
+    (tmp_path / "arm.urdf").write_text(f'<robot name="r"><link name="hand">{shapes}</link></robot>')
+    names = {"cloth": {"mesh": "towel.obj"}, "material": {"fabric": "./cloth.yaml"}, "ball": {"mesh": "ball.obj"}}
+    robot = {"robot": {"enabled": True, "description_file": "arm.urdf"}}
+    (tmp_path / "scene.yaml").write_text(json.dumps({"/**": {"ros__parameters": {**names, **robot}}}))
+    arguments = ["s.mcap", "--scene", str(tmp_path / "scene.yaml"), "--parameters", "stretch"]
+    assert fit_main.main([*arguments, "--write", str(tmp_path / out)]) == fit_main.REFUSED
+    assert capsys.readouterr().err.startswith(f"cloth_fit: --write is '{tmp_path / out}', which is read")
+
+
+@pytest.mark.parametrize(
+    ("recording", "option", "reason"),
+    [
+        (
+            "swing.csv",
+            ["--topic", "/points"],
+            "--topic is for bags, and swing.csv is a table; name its columns by --columns",
+        ),
+        (
+            "swing.npz",
+            ["--index", "id"],
+            "--index is for bags, and swing.npz is a table; name its columns by --columns",
+        ),
+        (
+            "swing.db3",
+            ["--columns", "x=X"],
+            "--columns is for tables, and swing.db3 is a bag; name its fields by --topic",
+        ),
+    ],
+)
+def test_option_of_another_kind_of_recording_is_refused(
+    recording: str,
+    option: list[str],
+    reason: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fit_bag, "read_recording", lambda *_, **__: pytest.fail("a recording was read"))
+    monkeypatch.chdir(tmp_path)
+    Path(recording).write_text("x")
+    Path("scene.yaml").write_text("/**: {ros__parameters: {}}")
+    arguments = [recording, "--scene", "scene.yaml", "--parameters", "stretch", *option]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    assert capsys.readouterr().err.startswith(f"cloth_fit: {reason}")

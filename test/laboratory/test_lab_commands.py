@@ -64,6 +64,15 @@ def test_bad_input_is_refused(arguments: list[str], reason: str, capsys: pytest.
     assert reason in capsys.readouterr().err
 
 
+def test_mesh_of_a_scene_is_no_output(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh, scene = tmp_path / "towel.obj", tmp_path / "scene.yaml"
+    mesh.write_text("v 0 0 0")
+    scene.write_text("/**: {ros__parameters: {cloth: {mesh: towel.obj}}}")
+    assert drape_main.main([str(scene), "--json", str(mesh)]) == 2
+    assert f"--json is '{mesh}', which is read" in capsys.readouterr().err
+    assert mesh.read_text() == "v 0 0 0"
+
+
 def test_lab_refuses_too_few_cells(capsys: pytest.CaptureFixture[str]) -> None:
     assert lab_main.main(["tension", "denim", "--cells", "1"]) == 2
     assert "--cells" in capsys.readouterr().err

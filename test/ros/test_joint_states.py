@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 
+import numpy as np
 import pytest
 
 from cloth_sim_ros.ros.io.joint_states import JointStates
@@ -41,7 +42,8 @@ def test_newest_stamp_counts_and_future_ones_wait() -> None:
     assert states.positions.tolist() == [3.0]
     with pytest.raises(StampError, match="ahead"):
         states.add(["a"], [4.0], NOW + 2 * SECOND, NOW)
-    states.restart_time()
+    states.restart_time(np.array([2.5]))
+    assert states.positions.tolist() == [2.5]
     assert states.add(["a"], [5.0], 7, 7)
     assert states.apply(7)
 
@@ -88,7 +90,7 @@ def test_late_state_replaces_no_newer_position() -> None:
     states.add(["a", "b"], [1.0, 5.0], NOW - 3, NOW)
     assert states.apply(NOW)
     assert states.positions.tolist() == [2.0, 5.0]
-    states.restart_time()
+    states.restart_time(states.positions)
     states.add(["a"], [7.0], 7, 7)
     assert states.apply(7)
     assert states.positions.tolist() == [7.0, 5.0]

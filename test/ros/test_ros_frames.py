@@ -232,6 +232,31 @@ def test_static_frames_are_followed_again_after_reset() -> None:
     assert move.position[0] == 2.0
 
 
+def test_reset_poses_are_those_of_the_followed_frame() -> None:
+    ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0]}
+    simulation, follower, _ = make_follower(None, **ball, ball__frame="a")
+    x_of = {"a": 1.0}
+
+    def newest(frame: str) -> tuple[tuple[float, ...], tuple[float, ...], int]:
+        if frame not in x_of:
+            raise FrameError(f"no transform from '{frame}'")
+        return (x_of[frame], 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0
+
+    # private: the lookup is replaced
+    follower._frames.newest = newest  # type: ignore[method-assign]
+    assert follower.obstacle_poses() == {}
+    follower.events(NOW)
+    assert follower.obstacle_poses() == {"ball": (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)}
+    simulation.advance([SetParameters({"ball.frame": "b"})])
+    follower.events(NOW)
+    assert follower.obstacle_poses() == {}, "of another frame"
+    x_of["b"] = 2.0
+    follower.events(NOW)
+    assert follower.obstacle_poses()["ball"][0] == 2.0
+    follower.restart_time()
+    assert follower.obstacle_poses() == {}
+
+
 def test_repeated_target_does_not_restart_gripper_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     simulation, follower, _ = make_follower(None, gripper__frame="base", gripper__timeout=0.5)

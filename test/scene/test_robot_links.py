@@ -24,6 +24,7 @@ from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.robot.collision_meshes import find_file
 from cloth_sim_ros.scene.robot.description import parse
 from cloth_sim_ros.scene.robot.kinematics import Kinematics, poses_of
+from cloth_sim_ros.scene.robot.links import RobotLinks
 from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
 AT: dict[str, Any] = {"robot.position": [0.8, 0.0, 0.5]}
@@ -372,7 +373,7 @@ def sliding_fingers(*joints: tuple[str, str, str]) -> str:
     box = '<collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision>'
     links = [
         f'<link name="{name}">{box}</link><joint name="{name}_joint" type="prismatic"><parent link="{parent}"/>'
-        f'<child link="{name}"/><origin xyz="{origin}"/><axis xyz="0 1 0"/><limit lower="-1" upper="1"/></joint>'
+        f'<child link="{name}"/><axis xyz="0 1 0"/><origin xyz="{origin}"/><limit lower="-1" upper="1"/></joint>'
         for name, parent, origin in joints
     ]
     return f'<robot name="r"><link name="stand"/>{"".join(links)}</robot>'
@@ -397,27 +398,72 @@ def test_pads_of_two_hands_leave_the_arms_free() -> None:
     assert -0.02 < stops.limit_positions(positions)[index["left_0_joint"]] < -0.01
 
 
-def test_single_pads_of_two_arms_leave_the_arms_free() -> None:
-    """Two arms without fingers press their palms together, and carry what is between them."""
+def opposite_chains(n_left: int, n_right: int) -> tuple[PadStops, RobotLinks]:
+    """Two chains of sliding joints with a pad at each end: the first ones close the pads, the second ones move along x.
+
+    They are two arms with palms, or two fingers of a hand.
+    """
     joints = []
-    for arm, y in (("left", 0.1), ("right", -0.1)):
-        bodies = ["stand", *(f"{arm}_{k}" for k in range(6))]
+    for branch, y, count in (("left", 0.1, n_left), ("right", -0.1, n_right)):
+        bodies = ["stand", *(f"{branch}_{k}" for k in range(count))]
         joints += [
-            (child, parent, f"0 {y if not k else 0.0} 0.03") for k, (parent, child) in enumerate(pairwise(bodies))
+            (child, parent, f"0 {0.0 if k else y} {0.12 / count}") for k, (parent, child) in enumerate(pairwise(bodies))
         ]
-    values = {
-        "robot.position": [2.0, 0.0, 0.0],
-        "robot.pads": ["left_5", "right_5"],
-        "robot.links": ["left_5", "right_5"],
-    }
-    scene, links = robot_scene(sliding_fingers(*joints), values)
-    stops, names = PadStops(scene, links), list(links.joint_names)
-    positions = np.zeros(len(names))
+    text = sliding_fingers(*joints)
+    for name in ("left_1", "right_1"):
+        text = text.replace(f'<child link="{name}"/><axis xyz="0 1 0"/>', f'<child link="{name}"/><axis xyz="1 0 0"/>')
+    pads = [f"left_{n_left - 1}", f"right_{n_right - 1}"]
+    scene, links = robot_scene(text, {"robot.position": [2.0, 0.0, 0.0], "robot.pads": pads, "robot.links": pads})
+    return PadStops(scene, links), links
+
+
+@pytest.mark.parametrize(("n_left", "n_right"), [(2, 2), (4, 4), (5, 4), (6, 6)])
+def test_pads_at_their_stop_move_together(n_left: int, n_right: int) -> None:
+    """Palms of two arms press and carry, or the fingers of a hand close and turn what is between them."""
+    stops, links = opposite_chains(n_left, n_right)
+    index = {name: k for k, name in enumerate(links.joint_names)}
+    positions = np.zeros(len(index))
     stops.limit_positions(positions)
-    positions[names.index("left_0_joint")], positions[names.index("right_0_joint")] = -0.09, 0.09
-    for _ in range(3):
-        assert stops.limit_positions(positions).tolist() == positions.tolist()
-        positions[[names.index("left_1_joint"), names.index("right_1_joint")]] += 0.01
+    for _ in range(10):
+        positions[index["left_0_joint"]] -= 0.009
+        positions[index["right_0_joint"]] += 0.009
+        before = links.poses(stops.limit_positions(positions))
+    for _ in range(10):
+        positions[[index["left_1_joint"], index["right_1_joint"]]] += 0.005
+        after = links.poses(stops.limit_positions(positions))
+    assert (after - before)[:, 0] == pytest.approx([0.05, 0.05], abs=1e-4)
+    # 1.4 thicknesses of 3 mm between faces of pads of 2 cm.
+    gap = after[0, 1] - after[1, 1] - 0.02
+    assert 0.0042 <= gap < 0.0044
+    positions[index["left_0_joint"]] += 0.03
+    assert stops.limit_positions(positions).tolist() == positions.tolist()
+
+
+def test_closing_finger_moves_no_finger_that_stands() -> None:
+    stops, links = opposite_chains(3, 3)
+    index = {name: k for k, name in enumerate(links.joint_names)}
+    positions = np.zeros(len(index))
+    stops.limit_positions(positions)
+    for _ in range(20):
+        # The finger's last command is 10 mm beyond the face of the other one.
+        positions[index["left_0_joint"]] = max(positions[index["left_0_joint"]] - 0.012, -0.19)
+        limited = stops.limit_positions(positions)
+        assert limited[[k for name, k in index.items() if name != "left_0_joint"]].tolist() == [0.0] * 5
+    assert links.poses(limited)[0, 1] - links.poses(limited)[1, 1] - 0.02 == pytest.approx(0.0042, abs=2e-4)
+
+
+def test_finger_between_two_others_keeps_both_gaps() -> None:
+    joints = [("low", "stand", "0 -0.05 0"), ("middle", "stand", "0 0 0"), ("high", "stand", "0 0.05 0")]
+    pads = ["low", "middle", "high"]
+    scene, links = robot_scene(sliding_fingers(*joints), {"robot.position": [2.0, 0.0, 0.0], "robot.pads": pads})
+    stops, random, positions = PadStops(scene, links), np.random.default_rng(4), np.zeros(3)
+    stops.limit_positions(positions)
+    for _ in range(300):
+        positions = np.clip(positions + random.normal(scale=0.004, size=3) + [2e-4, 0.0, -2e-4], -0.03, 0.03)
+        y = links.poses(stops.limit_positions(positions))[:, 1]
+        by_name = dict(zip(links.names, y, strict=True))
+        gaps = by_name["middle"] - by_name["low"], by_name["high"] - by_name["middle"]
+        assert min(gaps) >= 0.02 + 0.0042 - 1e-9
 
 
 def test_pads_of_one_finger_leave_its_joints_free() -> None:

@@ -109,3 +109,13 @@ def test_a_wrong_field_is_named(change: dict[str, object], said: str) -> None:
 def test_other_texts_are_refused(text: str) -> None:
     with pytest.raises(SessionError, match="frame record"):
         FrameRecord.from_json(text)
+
+
+@pytest.mark.parametrize("member", [{"obstacles": "hand"}, {"obstacles": ["hand"], "poses": [0.0]}, {"poses": 1.0}])
+def test_bad_members_of_a_reset_are_refused(member: dict[str, object]) -> None:
+    record = json.loads(TEXT)
+    valid = {"kind": "reset", "obstacles": ["hand"], "poses": [[0.0] * 7]}
+    for event in ({"kind": "reset"}, valid):
+        assert FrameRecord.from_json(json.dumps({**record, "events": [event]})).events == (event,)
+    with pytest.raises(SessionError, match=r"event \{'kind': 'reset'.* has no '(obstacles|poses)' that is a list of"):
+        FrameRecord.from_json(json.dumps({**record, "events": [{"kind": "reset", **member}]}))

@@ -348,6 +348,12 @@ def test_command_runs_and_resumes_study(tmp_path: Path, capsys) -> None:
         == 0
     )
     assert picture.read_bytes()[:4] == b"\x89PNG"
+    for file in (study_folder.study_file, study_folder.path / "study.yaml", study_folder.index_file):
+        content = file.read_bytes()
+        options = ["--outcome", "held", "--over", "material.density", "--plot", str(file)]
+        assert main(["view", str(study_folder.path), *options]) == 2
+        assert f"--plot is '{file}', which is read" in capsys.readouterr().err
+        assert file.read_bytes() == content
     assert main(["view", str(study_folder.path), "--outcome", "mean_heigth"]) == 2
     assert "did you mean 'mean_height'" in capsys.readouterr().err
 

@@ -55,7 +55,7 @@ def event_fields() -> dict[str, Any]:
         events.SetParameters({"gravity": [0.0, 0.0, -1.0]}),
         events.Pause(True),
         events.Step(),
-        events.Reset(),
+        events.Reset(["table"], [[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]]),
         events.Relax(2.0),
     ]
     assert {type(sample) for sample in samples} == set(typing.get_args(events.Event))

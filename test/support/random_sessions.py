@@ -135,8 +135,11 @@ def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: 
     # A reset may be refused if the obstacles have changed.
     if random.random() < 0.02 and not any(isinstance(event, SetParameters) for event in events):
         with contextlib.suppress(EventError):
-            simulation.check(Reset())
-            events.append(Reset())
+            reset = Reset()
+            if simulation.obstacles is not None and random.random() < 0.5:
+                reset = Reset(simulation.obstacles.names, simulation.obstacles.poses())
+            simulation.check(reset)
+            events.append(reset)
     # The order of arrival is random.
     return [events[k] for k in random.permutation(len(events))]
 

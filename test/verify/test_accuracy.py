@@ -21,6 +21,7 @@ from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.verify import accuracy
 from cloth_sim_ros.verify.accuracy import certify, is_sampled
 from cloth_sim_ros.verify.certificate import AccuracyWindow, Certificate, FrameAccuracy
 from cloth_sim_ros.verify.independent_integrator import dop853, frame_by_dop853
@@ -218,6 +219,29 @@ def test_frame_errors_agree_with_independent_integrator(tmp_path: Path, seed: in
     # Much closer than required: the largest difference was 2e-10 m.
     assert max(sample.difference for sample in certificate.samples) < 1e-8
     assert max(sample.independent for sample in certificate.samples) > 1e-7
+
+
+def test_frame_without_independent_solution_is_undecided(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maker, calls = _make(tmp_path, frames=70), list[int]()
+
+    def give_up_once(equations: Equations, frame: SimulatedFrame, state: State) -> np.ndarray:
+        calls.append(frame.index)
+        if len(calls) == 1:
+            raise ArithmeticError("DOP853 gave up at 0.5 s: the step is too small")
+        return frame_by_dop853(equations, frame, state)
+
+    monkeypatch.setattr(accuracy, "frame_by_dop853", give_up_once)
+    output = tmp_path / "numbers.json"
+    assert main(["--accuracy", "--json", str(output), str(maker.paths[0])]) == BOUND_VIOLATED
+    printed = capsys.readouterr()
+    assert f"Undecided, because scipy's DOP853 has no solution: 1 frame ({calls[0]})." in printed.out
+    assert f"On {len(calls) - 1} frame" in printed.out
+    assert f"frame {calls[0]}: DOP853 gave up at 0.5 s: the step is too small" in printed.err
+    content = json.loads(output.read_text())
+    assert [entry["frame"] for entry in content["unsolved_samples"]] == calls[:1]
+    assert not content["satisfied"]
 
 
 def test_window_errors_agree_with_independent_integrator(tmp_path: Path) -> None:

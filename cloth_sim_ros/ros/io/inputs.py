@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
@@ -18,7 +19,8 @@ from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, SetParameters
+from cloth_sim_ros.simulation.event_checks import EventError
+from cloth_sim_ros.simulation.events import Event, Reset, SetParameters
 from cloth_sim_ros.simulation.frame import Frame
 
 if TYPE_CHECKING:
@@ -69,6 +71,7 @@ class Inputs:
         self.parameters = LiveParameters(node, scene, self._change_parameters, self._check_parameters, failure.lock)
 
         self._log, self._failure = log, failure
+        timing.stepper.build_reset = self._build_reset
         #: Action servers of the grippers; None if no gripper has one.
         self.actions: GripperActions | None = None
         #: Servers of simulation_interfaces; None if they are not requested.
@@ -152,8 +155,29 @@ class Inputs:
         """Forget stamps and dynamic transforms because the clock was set back: any stamp is accepted next."""
         self.commands.reset_stamps()
         self._frames.clear()
+        self.tf_follower.restart_time()
         if self._robot is not None:
             self._robot.restart_time()
+
+    def _build_reset(self, scene: Scene, is_required: bool) -> Reset:
+        """Return a reset that starts a robot's links and followers of TF frames at their newest poses.
+
+        Obstacles that joints hold to the cloth start with it, where the scene has them.
+
+        Args:
+            scene: the scene at the reset.
+            is_required: true if the reset must succeed: with an obstacle in the cloth it has no poses then. It has
+                none either while the node is failed.
+        """
+        poses = self.tf_follower.obstacle_poses() | ({} if self._robot is None else self._robot.poses())
+        event = _reset_at(scene, poses)
+        if is_required or self._failure.refusal:
+            try:
+                self._simulation.check(event)
+            except EventError as error:
+                self._log.warn("reset", f"the reset starts links and followers of TF where the scene has them: {error}")
+                return Reset()
+        return event
 
     def _change_parameters(self, values: dict[str, Any]) -> None:
         # `_check_parameters` has made room for it.
@@ -163,3 +187,16 @@ class Inputs:
         check_feasibility(scene, self._simulation)
         self._simulation.check_scene(scene)
         self._queue.evict_target(SetParameters(values))
+
+
+def link_reset(scene: Scene) -> Reset:
+    """Return a reset that starts a robot's links where a scene has them, whatever `initial_state` says."""
+    links = {name: scene.described[name] for name in scene.link_names}
+    return _reset_at(scene, {name: (*link.position, *link.orientation) for name, link in links.items()})
+
+
+def _reset_at(scene: Scene, poses: Mapping[str, tuple[float, ...]]) -> Reset:
+    """Return a reset that starts named obstacles at poses, without those that joints hold to the cloth."""
+    joined = scene.joined_obstacles if poses else ()
+    names = [name for name in scene.obstacle_names if name in poses and name not in joined]
+    return Reset(names, [poses[name] for name in names])

@@ -122,9 +122,14 @@ class JointStates:
         self.stamp = min(self.stamp, now)
         self._waiting = [state for state in self._waiting if state[0] <= now + MAX_FUTURE]
 
-    def restart_time(self) -> None:
-        """Drop queued states and forget stamps because the clock was set back: any stamp is accepted next."""
+    def restart_time(self, positions: NDArray[np.float64]) -> None:
+        """Drop queued states and forget stamps because the clock was set back: any stamp is accepted next.
+
+        Args:
+            positions: positions of the joints until their next states [rad or m].
+        """
         self._waiting.clear()
+        self.positions = positions.copy()
         self.stamp = 0
         self._stamps[:] = 0
         self._arrivals[:] = 0

@@ -65,14 +65,15 @@ class RobotFollower:
         self._frames, self._commands, self._sink, self._log, self._lock = frames, commands, sink, log, lock
         self._settings = simulation.scene.robot
         self._needs_poll = bool(self._settings.frame) or self._settings.source != JOINT_STATES
-        self._poses: Array = np.array([_start_pose(simulation, name) for name in links.names]).reshape(-1, 7)
+        self._start_poses: Array = np.array([_start_pose(simulation, name) for name in links.names]).reshape(-1, 7)
+        self._poses, self._start_positions = self._start_poses, states.positions.copy()
         self._stops: PadStops | None = None
         if any(self._settings.pads):
             from cloth_sim_ros.scene.robot.pad_stops import PadStops
 
             self._stops = PadStops(simulation.scene, links)
             # The start counts as accepted: the first state may close the fingers at once.
-            self._stops.limit_positions(states.positions)
+            self._stops.limit_positions(self._start_positions)
         #: ROS time of the newest state, or of the first frame before it [ns]; 0 before both.
         self._last_state = 0
         #: True if the next frame has to repeat the command of the links; the same from the next state on.
@@ -157,9 +158,19 @@ class RobotFollower:
         self._last_state = min(self._last_state, now)
 
     def restart_time(self) -> None:
-        """Forget stamps of joint states because the clock was set back: any stamp is accepted next."""
-        self._states.restart_time()
-        self._last_state = 0
+        """Return to the joint positions of the start because the clock was set back: any stamp is accepted next.
+
+        A simulator that starts again has its robot at its start, and joint states that come after the reset.
+        """
+        self._states.restart_time(self._start_positions)
+        self._last_state, self._poses = 0, self._start_poses
+        if self._stops is not None:
+            self._stops.accepted = None
+            self._stops.limit_positions(self._start_positions)
+
+    def poses(self) -> dict[str, tuple[float, ...]]:
+        """Return the newest poses of the links' obstacles by name, 7 numbers each."""
+        return {name: tuple(pose) for name, pose in zip(self._links.names, self._poses.tolist(), strict=True)}
 
     def _event(self, poses: Array) -> MoveObstacles:
         """Return the event that moves the present obstacles among the links."""

@@ -194,6 +194,19 @@ class TfFollower:
         if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
             self._sent.clear()
 
+    def obstacle_poses(self) -> dict[str, tuple[float, ...]]:
+        """Return the newest pose of each obstacle that follows a TF frame by name, 7 numbers; without unknown ones."""
+        transforms = ((name, frame, self._last_transforms.get(name)) for name, frame in self._obstacle_frames)
+        return {
+            name: (*transform[1], *transform[2])
+            for name, frame, transform in transforms
+            if transform is not None and transform[0] == frame
+        }
+
+    def restart_time(self) -> None:
+        """Forget the newest transforms, because the clock was set back."""
+        self._last_transforms.clear()
+
     def _follow_frame(self, kind: type[Target | Move], name: str, frame: str, now: int) -> list[Event]:
         if not frame:
             return []

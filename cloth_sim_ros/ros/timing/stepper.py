@@ -8,14 +8,18 @@ A failure is reported and does not end the node.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
+
+import attrs
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.ros.process.stopping import StopRequestedError
 from cloth_sim_ros.ros.process.worker_thread import run_inline
 from cloth_sim_ros.ros.timing.event_queue import EventQueue, EventResult, QueuedEvent
+from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
-from cloth_sim_ros.simulation.events import Event, Grasp, Pause, SetParameters, Step
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Step
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
@@ -32,6 +36,8 @@ class Stepper:
         self, simulation: Simulation, queue: EventQueue, *, run_job: Callable[[Callable[[], Any]], Any] = run_inline
     ) -> None:
         self.simulation, self.queue, self.run_job = simulation, queue, run_job
+        #: Returns a reset that starts obstacles at their present poses in a scene, and takes true if it must succeed.
+        self.build_reset: Callable[[Scene, bool], Reset] = lambda _scene, _is_required: Reset()
         #: True if a signal came before a frame ended. The frame goes on, and the cloth must not be read.
         self.aborted = False
         #: The reason if time is stopped; otherwise empty.
@@ -54,7 +60,7 @@ class Stepper:
         does the answer to a service that requested time to pass.
         """
         self._results = []
-        self._entries = entries = self.queue.pop_ready(stamp)
+        self._entries = entries = self._with_poses(self.queue.pop_ready(stamp))
         if first or last:
             before, after = ([QueuedEvent(event=event) for event in events] for events in (first, last))
             entries = [*before, *entries, *after]
@@ -108,6 +114,23 @@ class Stepper:
         """Call the answer callbacks of the newest frame's events, once, with the reason why the frame failed."""
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
+
+    def _with_poses(self, entries: list[QueuedEvent]) -> list[QueuedEvent]:
+        """Return queued events, each reset with the present poses of obstacles that the graph moves."""
+        if not any(isinstance(entry.event, Reset) for entry in entries):
+            return entries
+        scene, result = self.simulation.scene, list[QueuedEvent]()
+        for entry in entries:
+            event = entry.event
+            if isinstance(event, SetParameters):
+                # A value that does not fit is refused later.
+                with suppress(ValueError):
+                    scene = scene.changed(event.values)
+            elif isinstance(event, Reset):
+                # Nobody hears that a reset of the node itself is refused.
+                event = self.build_reset(scene, entry.answer is None)
+            result.append(attrs.evolve(entry, event=event))
+        return result
 
     def _impossible_events(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
         """Return pairs of an event that can't take effect any more, and the reason."""

@@ -11,6 +11,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -197,6 +198,22 @@ def read_description(name: str, folder: str | Path = ".") -> bytes:
     if not name:
         raise ParameterError("robot.enabled is set without robot.description_file; name the file of the URDF")
     return scene_files.file_content("robot.description_file", Path(folder) / name)
+
+
+def mesh_files(name: str, folder: str | Path = ".") -> list[Path]:
+    """Return the paths of the meshes in the file of a robot's description (URDF), of those that are found.
+
+    Raises:
+        ParameterError: if the description can't be read.
+    """
+    shapes = parse(read_description(name, folder)).shapes.values()
+    meshes = (shape.mesh for of_link in shapes for shape in of_link if shape.mesh)
+    paths = []
+    for mesh in dict.fromkeys(meshes):
+        # A mesh of a link that is left out may be missing.
+        with suppress(ParameterError):
+            paths.append(collision_meshes.find_file(mesh, Path(folder, name).parent))
+    return paths
 
 
 def without_links(values: Mapping[str, Any]) -> dict[str, Any]:

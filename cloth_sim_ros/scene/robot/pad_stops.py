@@ -18,19 +18,23 @@ from cloth_sim_ros.scene.scene import Scene
 
 #: Bisections of a step of the joints: they find the stop within 1 % of the step.
 _BISECTIONS = 7
-#: Largest number of joints that move two pads of one hand relative to each other. More are those of two arms, whose
-#: joints must not stop.
-_MAX_HAND_JOINTS = 8
+#: Difference step of a joint for the derivative of the gap [rad or m].
+_DERIVATIVE_STEP = 1e-6
+#: Corrections of a position along the stop, and their excess over the smallest gap as a fraction of it.
+_CORRECTIONS, _EXCESS = 3, 0.01
 
 
 @with_old_names(stopped="limit_positions")
 class PadStops:
     """Limit of a robot's finger joints: their pads stay at least `robot.pad_gap` contact thicknesses apart.
 
-    Two pads are a pair if they belong to one hand and different joints move them. Pads that more than eight joints move
-    relative to each other belong to two arms. Each side of a cloth's layer then has half the gap, and its contact
-    pushes back. Without stops a closed gripper would crush the layer, and all obstacles would stop. Pads of two hands,
-    and of two links of one finger, may come closer.
+    Two pads are a pair if they belong to one hand and different joints move them. Single pads of two arms are a pair
+    too. Each side of a cloth's layer then has half the gap, and its contact pushes back. Without stops a closed gripper
+    would crush the layer, and all obstacles would stop. Pads of two hands, and of two links of one finger, may come
+    closer.
+
+    A stop takes only the closing part of a motion away. Joints that move both pads alike go on. So two arms carry what
+    is between their palms, and fingers turn it.
 
     Args:
         scene: has the pads as obstacles, `robot.pads`, `robot.pad_gap` and `contact.thickness`.
@@ -62,8 +66,7 @@ class PadStops:
             # Fingers that mimic one joint share all joints; that one is the last of them.
             last = chains[max((a, b), key=bodies.__getitem__)]
             joints = sorted(set(chains[a]) ^ set(chains[b])) or last[:1]
-            if len(joints) <= _MAX_HAND_JOINTS:
-                self._pairs.append((a, b, joints))
+            self._pairs.append((a, b, joints))
         #: Positions of the joints in force [rad or m]; None before the first ones.
         self.accepted: Array | None = None
 
@@ -82,7 +85,7 @@ class PadStops:
         """
         if not self._pairs:
             return positions
-        result = positions.copy()
+        result, has_slid = positions.copy(), False
         poses = self._links.poses(result)
         for a, b, joints in self._pairs:
             if self._gap(a, b, poses) >= self._min_gap:
@@ -91,8 +94,15 @@ class PadStops:
                 break
             open_positions = result.copy()
             open_positions[joints] = self.accepted[joints]
-            result = open_positions + self._fraction(a, b, open_positions, result) * (result - open_positions)
+            stopped = open_positions + self._fraction(a, b, open_positions, result) * (result - open_positions)
+            if len(joints) > 1:
+                stopped, has_slid = self._slide(a, b, joints, stopped, result), True
+            result = stopped
             poses = self._links.poses(result)
+        if has_slid and self.accepted is not None and self._is_any_too_close(poses):
+            # Pairs with a common finger push it to each other. The accepted positions keep every gap.
+            common = sorted({joint for _, _, joints in self._pairs for joint in joints})
+            result[common] = self.accepted[common]
         self.accepted = result
         return result
 
@@ -110,6 +120,46 @@ class PadStops:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if is_open(middle) else (low, middle)
         return low
+
+    def _slide(self, a: int, b: int, joints: list[int], stopped: Array, end: Array) -> Array:
+        """Return joint positions on the way from a stop to `end`, without the motion that closes two pads.
+
+        Each joint makes a fraction of its step, from -1 to 1. Joints that close the pads make less of it. A joint
+        without a step stands. The pads move by the smallest gap at most relative to each other, so that they do not
+        pass each other. The stop itself is returned if no such position keeps the gap.
+        """
+        poses, step = self._links.poses(stopped), (end - stopped)[joints]
+        gap, slopes = self._gap(a, b, poses), np.zeros(len(joints))
+        for k, joint in enumerate(joints):
+            if step[k]:
+                moved = stopped.copy()
+                moved[joint] += _DERIVATIVE_STEP
+                slopes[k] = (self._gap(a, b, self._links.poses(moved)) - gap) / _DERIVATIVE_STEP * step[k]
+        square = float(slopes @ slopes)
+        if not square:
+            return stopped
+        result, scale = stopped.copy(), 1.0
+        fractions = np.clip(1.0 - min(0.0, float(slopes.sum())) / square * slopes, -1.0, 1.0)
+        result[joints] += fractions * step
+        travel = self._travel(a, b, poses, self._links.poses(result))
+        if travel > self._min_gap:
+            scale = self._min_gap / travel
+        for _ in range(_CORRECTIONS):
+            result[joints] = stopped[joints] + scale * fractions * step
+            gap = self._gap(a, b, self._links.poses(result))
+            if gap >= self._min_gap:
+                return result
+            excess = ((1.0 + _EXCESS) * self._min_gap - gap) / (scale * square)
+            fractions = np.clip(fractions + excess * slopes, -1.0, 1.0)
+        return stopped
+
+    def _travel(self, a: int, b: int, before: Array, after: Array) -> float:
+        """Return the largest displacement of a point of one pad relative to the other [m]."""
+        moved = _points_in(after[b], self._features[a], after[a]) - _points_in(before[b], self._features[a], before[a])
+        return float(np.sqrt((moved * moved).sum(axis=0)).max())
+
+    def _is_any_too_close(self, poses: Array) -> bool:
+        return any(self._gap(a, b, poses) < self._min_gap for a, b, _ in self._pairs)
 
     def _features_of_pads(self) -> dict[int, ObstacleFeatures]:
         return {k: obstacle_features(solid, self._thickness) for k, solid in self._solids.items()}
@@ -135,5 +185,10 @@ def _one_carries(first: list[int], second: list[int]) -> bool:
 
 def _min_gap_of(solid: Obstacle, pose: Array, features: ObstacleFeatures, features_pose: Array) -> float:
     """Return the least gap between an obstacle and the points of another one's features [m]."""
+    return float(solid.distance(_points_in(pose, features, features_pose))[0].min()) - features.radius
+
+
+def _points_in(pose: Array, features: ObstacleFeatures, features_pose: Array) -> Array:
+    """Return the points of an obstacle's features in the frame of another one's pose [m], shape (3, n)."""
     points = features.points @ rotation_matrix(features_pose[3:]).T + features_pose[:3]
-    return float(solid.distance(to_body_frame(pose, points.T))[0].min()) - features.radius
+    return to_body_frame(pose, points.T)

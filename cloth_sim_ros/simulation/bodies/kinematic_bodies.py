@@ -121,6 +121,13 @@ class KinematicBodies:
         # As `unit_quaternion` computes it.
         target[indices, 3:] = poses[:, 3:] / np.sqrt(x * x + y * y + z * z + w * w)[:, None]
 
+    def set_poses(self, indices: Sequence[int], poses: Array) -> None:
+        """Place several bodies at rest at poses (count, 7), which are their targets too."""
+        self.set_targets(indices, poses)
+        self.writable_copy("pose")[indices] = self.array("target")[indices]
+        for quantity in ("twist", "turn"):
+            self.writable_copy(quantity)[indices] = 0.0
+
     def hold_position(self, indices: Sequence[int]) -> list[int]:
         """Hold the present poses of some bodies until their next targets; return indices of those that were moving."""
         is_moving = (self.array("pose") != self.array("target")).any(axis=1) | self.array("twist").any(axis=1)

@@ -26,7 +26,7 @@ from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
     clamp_motion,
     constant_paths,
 )
-from cloth_sim_ros.simulation.events import Move, MoveObstacles
+from cloth_sim_ros.simulation.events import Move, MoveObstacles, Reset
 
 #: Largest lever arm of rotation for the speed limit [m]; it applies to larger obstacles and planes.
 _MAX_LEVER_ARM = 1.0
@@ -84,6 +84,11 @@ class Obstacles:
     def set_targets(self, event: MoveObstacles) -> None:
         """Store the target poses of the obstacles that an event names; `move` follows them."""
         self._bodies.set_targets([self._indices[name] for name in event.obstacles], event.poses)
+
+    def set_poses(self, event: Reset) -> None:
+        """Place the obstacles that a reset names at rest at its poses."""
+        if event.obstacles:
+            self._bodies.set_poses([self._indices[name] for name in event.obstacles], np.array(event.poses))
 
     def hold_position(self) -> list[str]:
         """Hold the present poses until the next targets; return the names of the obstacles that were moving."""
