@@ -27,7 +27,7 @@ from cloth_sim_ros.session.cdr import decode_string, encode, encode_string, mess
 from cloth_sim_ros.session.child_process import child_environment
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message, SessionPart
-from cloth_sim_ros.verify.markers import _marker
+from cloth_sim_ros.verify.markers import _marker  # private: a marker as the node writes it, to change fields of
 
 pytest.importorskip("rerun", reason="the viewer is not installed: pip install 'cloth_sim_ros[replay]'")
 
@@ -204,6 +204,7 @@ def test_incomplete_triangles_of_a_marker_are_left_out(n_points: int, recwarn: p
     marker.color.r, marker.color.g = float("nan"), 300.0
     kind = "visualization_msgs/msg/MarkerArray"
     ObstacleView(recording, table).show(Moment(0.0, 0, 0), encode(message_class(kind)(markers=[marker]), kind))
+    # private: rows that are not sent yet
     (corners,) = tables["/world/obstacles/net/0 Mesh3D"]._values["vertex_positions"]
     assert corners.shape == (n_points // 3 * 3, 3)
     assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]

@@ -97,6 +97,7 @@ def test_contradicting_declarations_are_damage(session: Path, monkeypatch: pytes
     closing = mcap_builder.McapBuilder.encode_closing
 
     def renamed(builder: mcap_builder.McapBuilder, offset: int) -> bytes:
+        # private: no public call writes a summary that contradicts the data
         channels: dict[int, Channel] = builder._channels
         builder._channels = {
             key: dataclasses.replace(channel, topic=channel.topic.replace("points", "other"))
