@@ -550,7 +550,12 @@ def test_recorded_reset_at_present_poses_runs_again(client: Client, description:
         "record.compression": "none",
     }
     with arm(client, (0.0, 0.0, 0.0, 0.02), values) as cloth:
+        # private: nothing but the recorder knows its bytes before the next frame splits the file
+        recorder = cloth.node.recording.session._recorder
+        assert recorder is not None
         for frame in range(60):
+            if frame in (20, 45):
+                client.spin_until(lambda: recorder.wants_split, description="the file to be large enough")
             send(cloth, state((-0.01 * (frame % 30), 0.01 * frame, 0.0, 0.02)))
             if frame in (15, 40):
                 assert ask_reset(cloth).success
