@@ -9,4 +9,4 @@ interface). `binding` loads the library that fits the machine and checks its arg
 
 #: Number of the package's arithmetic, recorded with every session. It is raised whenever a change alters the bits of a
 #: scene. 1 stands for the versions before the engine, which recorded none.
-NUMERICS = 25
+NUMERICS = 26

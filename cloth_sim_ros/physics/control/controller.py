@@ -439,18 +439,25 @@ class Controller:
         n_runs = self.n_runs
         summary = tableau.summary(n_runs)
         self._may_turn = summary.turn > CONSTANTS.max_turn and not self.in_fallback
+        rates = self._stability.memory.omega2, self._stability.memory.damping
+        has_grips = (n_runs == 1 or self.estimates_error) and self._plan.gripper_count > 0
+        path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
+        grip_jerk_change = self._plan.grip_jerk_change(*path) if has_grips else 0.0
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],
             piece.length,
             tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0),
             max(summary.activity, summary.change_from_before),
             tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
+            grip_jerk_change,
         )
         _, contact_energy, _ = tableau.contact_summary(n_runs)
         if contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
             # The contact is harder than in the frame of the last estimate, or the first one.
             error = math.inf
-        self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy)
+        self._prediction = ErrorPrediction(
+            error, lower_order_error, summary.activity, contact_energy, grip_jerk_change
+        )
         return math.inf if self.estimates_error else error
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:

@@ -149,6 +149,7 @@ class ErrorRule:
         change: tuple[float, float],
         activity: float,
         jerk_change: float = 0.0,
+        grip_jerk_change: float = 0.0,
     ) -> tuple[float, float]:
         """Return the predicted errors of a piece [m] by its runs, and by one run less; infinite if the motion changed.
 
@@ -158,6 +159,7 @@ class ErrorRule:
             change: of positions [m] and of velocities [m/s] by the last run of the combination; zeros for a single run.
             activity: activity of the piece [m/s].
             jerk_change: change of jerk of a single run whose springs turn [m/s].
+            grip_jerk_change: change of jerk of a single run by grippers' paths [m/s].
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
@@ -171,12 +173,11 @@ class ErrorRule:
             return math.inf, math.inf
         if len(counts) == 1:
             if jerk_change > trust_factor * memory.jerk_change:
-                # Steps h cause a velocity error of h^2/24 times the change of jerk over the piece.
-                displacement = VELOCITY_ERROR_TIME * jerk_change / (3.0 * counts[0] * counts[0])
-                if displacement > CONSTANTS.error_target_fraction * self.budget * (length / memory.duration):
+                if displacement_by_jerk(jerk_change, counts[0]) > CONSTANTS.error_target_fraction * self.budget * (length / memory.duration):
                     return math.inf, math.inf
             scale = memory.safety_factor * step * step / memory.coefficient
-            return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction, 0.0
+            by_grips = displacement_by_jerk(max(0.0, grip_jerk_change - memory.grip_jerk_change), counts[0])
+            return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction + by_grips, 0.0
         lower_order_error = change[0] + memory.velocity_weight * change[1]
         known_error = memory.lower_order_error * fraction
         if not known_error:
@@ -239,7 +240,7 @@ class ErrorRule:
         is_predicted = math.isfinite(frame.predicted_error)
         is_far_below = error <= CONSTANTS.low_error_fraction * self.budget
         memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, frame.activity
-        memory.jerk_change = frame.jerk_change
+        memory.jerk_change, memory.grip_jerk_change = frame.jerk_change, frame.grip_jerk_change
         memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs))
         memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:
@@ -276,6 +277,16 @@ class ErrorRule:
         memory = self.memory
         time_left = memory.time_until_estimate - memory.duration
         memory.time_until_estimate = time_left if time_left > 1e-6 * memory.duration else 0.0
+
+
+def displacement_by_jerk(jerk_change: float, steps: int) -> float:
+    """Return what the velocity error of a single run displaces later [m]: h^2/24 times the change of jerk.
+
+    Args:
+        jerk_change: change of jerk over the run, times T^2/8 [m/s].
+        steps: number of its steps.
+    """
+    return VELOCITY_ERROR_TIME * jerk_change / (3.0 * steps * steps)
 
 
 def coefficient_of(counts: tuple[int, ...], length: float) -> float:

@@ -40,6 +40,8 @@ class ErrorPrediction(NamedTuple):
     #: Activity [m/s], see `runs.activity_of`, and largest contact energy per mass, in U^2/2.
     activity: float = 0.0
     contact_energy: float = 0.0
+    #: Change of jerk by grippers' paths, see `GripBinding.jerk_change` [m/s]; 0 if runs are combined.
+    grip_jerk_change: float = 0.0
 
 
 class FrameTotals:
@@ -55,8 +57,8 @@ class FrameTotals:
     contact_energy = 0.0
     #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
     longest_step, longest_runs = 0.0, 1
-    #: Sum of predicted errors [m]; largest activity, and largest change of jerk, of a piece [m/s].
-    predicted_error, activity, jerk_change = 0.0, 0.0, 0.0
+    #: Sum of predicted errors [m]; largest activity and largest changes of jerk, also by grippers, of a piece [m/s].
+    predicted_error, activity, jerk_change, grip_jerk_change = 0.0, 0.0, 0.0, 0.0
     #: False while pieces are accepted by predictions. Each has an estimate then; False if a piece has other runs, which
     #: makes the sums of estimates useless.
     has_estimates, is_uniform = False, True
@@ -90,3 +92,4 @@ class FrameTotals:
         self.predicted_error += prediction.error
         self.activity = max(self.activity, prediction.activity)
         self.jerk_change = max(self.jerk_change, tableau.jerk_change)
+        self.grip_jerk_change = max(self.grip_jerk_change, prediction.grip_jerk_change)

@@ -4,17 +4,33 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import binding
 from cloth_sim_ros.engine.binding import address, check, float64_address, library, writable_address
-from cloth_sim_ros.physics.model.controls import GripControls
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.parts import min_damping_time
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
+
+
+class _StrongestGrip(NamedTuple):
+    """Strongest grip of a gripper: what its particles' accelerations follow of its path."""
+
+    gripper: int
+    #: Largest k/m [1/s^2] and k_d/m [1/s] of its grips, and largest distance of a grasped point from its origin [m].
+    stiffness: float
+    damping: float
+    reach: float
+    #: True if the gripper prescribes the motion of a particle.
+    is_prescribed: bool
 
 
 class GripBinding(Uncopyable):
@@ -35,6 +51,8 @@ class GripBinding(Uncopyable):
         #: Number of grippers.
         self.count = grips.gripper_count
         self._paths_shape = (self.count, binding.PATH_NUMBERS)
+        #: Grasps, and the strongest grip of each gripper that grasps a free particle, see `_strongest_grips`.
+        self._known_grips: tuple[Grasps | None, list[_StrongestGrip]] = (None, [])
 
     def upload(self) -> None:
         """Upload grasped particles and paths of grippers to the engine if they changed; refuse invalid ones."""
@@ -92,6 +110,56 @@ class GripBinding(Uncopyable):
         addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape)
         status: int = self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data)
         return status, out
+
+    def jerk_change(
+        self, t: float, duration: float, inverse_masses: Array, rates: tuple[float, float], error_time: float
+    ) -> float:
+        """Return the largest change of a particle's jerk by its gripper's path over an interval, times T^2/8 [m/s].
+
+        The jerk by a spring changes by (k dV + k_d dA)/m with the changes dV and dA of the point's velocity and
+        acceleration. A prescribed particle acts through the sheet's springs, whose waves keep an error of velocity for
+        1/w only (docs/derivations/time_stepping.md#change-of-jerk).
+
+        Args:
+            t: start of the interval [s].
+            duration: its length T [s].
+            inverse_masses: of the particles [1/kg], shape (n,).
+            rates: bounds of the sheet's squared frequency w^2 [1/s^2] and damping rate [1/s].
+            error_time: time within which an error of velocity displaces [s].
+        """
+        largest, paths = 0.0, self.force.controls.paths
+        for gripper, stiffness, damping, reach, is_prescribed in self._strongest_grips(inverse_masses):
+            path = paths[gripper].tolist()
+            middle = 2.0 * (t - path[0]) + duration
+            velocity_change = acceleration_change = 0.0
+            for first, scale in ((7, 1.0), (20, reach)):
+                a, b, c, d, e, f = path[first : first + 6]
+                turn = 3.0 * middle
+                x, y, z = 2.0 * a + turn * d, 2.0 * b + turn * e, 2.0 * c + turn * f
+                velocity_change += scale * math.sqrt(x * x + y * y + z * z)
+                acceleration_change += scale * 6.0 * math.sqrt(d * d + e * e + f * f)
+            if is_prescribed:
+                scale = 1.0 / math.sqrt(rates[0] * error_time * error_time + 1.0)
+                stiffness, damping = max(stiffness, rates[0] * scale), max(damping, rates[1] * scale)
+            largest = max(largest, stiffness * velocity_change + damping * acceleration_change)
+        return 0.125 * duration * duration * duration * largest
+
+    def _strongest_grips(self, inverse_masses: Array) -> list[_StrongestGrip]:
+        """Return the strongest grip of each gripper that grasps particles; cached while the grasps stay."""
+        grasps, strongest = self.force.controls.grasps, list[_StrongestGrip]()
+        if grasps is not self._known_grips[0]:
+            for gripper in range(self.count if len(grasps.particles) else 0):
+                grips = slice(grasps.starts[gripper], grasps.starts[gripper + 1])
+                inverse = inverse_masses[grasps.particles[grips]]
+                if not inverse.any():
+                    continue
+                is_prescribed = grasps.prescribed is not None and bool(grasps.prescribed[grips].any())
+                largest = (float((grasps.stiffness[grips] * inverse).max()), float((grasps.damping[grips] * inverse).max()))
+                points = np.ascontiguousarray(grasps.offsets[grips].T)
+                reach = largest_distance(points, np.zeros_like(points))
+                strongest.append(_StrongestGrip(gripper, *largest, reach, is_prescribed))
+            self._known_grips = grasps, strongest
+        return self._known_grips[1]
 
     def min_damping_time(self) -> float:
         """Return the least ratio of damping to stiffness, c / k [s], of the grips; infinity if there are none."""

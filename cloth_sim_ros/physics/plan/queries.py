@@ -209,6 +209,12 @@ class PlanQueries:
         is_free[self.prescribed_particles()] = False
         return is_free
 
+    def grip_jerk_change(self, t: float, duration: float, rates: tuple[float, float], error_time: float) -> float:
+        """Return the largest change of a particle's jerk by a gripper's path, see `GripBinding.jerk_change` [m/s]."""
+        if self._grip_binding is None:
+            return 0.0
+        return self._grip_binding.jerk_change(t, duration, self.model.inverse_masses, rates, error_time)
+
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
         """Set x, v of prescribed particles to their gripper's; return impulses, work, dissipation, (grippers, 8)."""
         if self._grip_binding is None:
