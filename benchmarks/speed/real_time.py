@@ -1,9 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real-time factor by particles and stiffness, and cost by tolerance and integrator.
+"""Real-time factor by particles and stiffness, cost by tolerance and integrator, and the slowest frames of a T-shirt.
 
 A gripper carries the lower corner of the default cloth on a circle. Times are processor times on one core, because
-other processes have little effect on them. On an idle machine they are wall times.
+other processes have little effect on them. On an idle machine they are wall times. The times of the T-shirt, which two
+grippers swing, are wall times, on one core and on all.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 import attrs
 import numpy as np
+from support import garment
 
 from benchmarks.speed.curtain import cores
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
@@ -40,6 +42,10 @@ CHOICES: tuple[tuple[str, float | None], ...] = (
     ("leapfrog", None),
 )
 _STEP_SHARE = 0.5
+#: Warm-up frames of the T-shirt, and number of evaluations beyond its steps above which a frame estimated its error.
+_GARMENT_WARM, _MIN_JUDGED = 48, 8
+#: Largest wall time of all but a hundredth of the frames of a T-shirt of 1,460 vertices [ms]: on one core, on two.
+_GARMENT_LIMITS = (33.0, 25.0)
 #: Wall time after which a cloth is not run again [s].
 _MAX_SECONDS = 10.0
 
@@ -67,6 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--choices-size", type=int, default=30, metavar="N", help="particles a side, second table")
     parser.add_argument("--choices-moduli", type=float, nargs="*", default=[1e3, 1e5], help="of stretch, second table")
     parser.add_argument("--frames", type=at_least(1), default=20, help="timed frames of each cloth")
+    vertices = "about so many vertices of the T-shirt; 0: none"
+    parser.add_argument("--garment", type=at_least(0), default=1460, metavar="N", help=vertices)
+    parser.add_argument("--garment-frames", type=at_least(1), default=240, help="timed frames of the T-shirt")
     rounds = "runs of each cloth; the fastest counts; fewer of slow ones"
     parser.add_argument("--rounds", type=at_least(1), default=3, help=rounds)
 
@@ -94,6 +103,8 @@ def run(options: argparse.Namespace) -> Report:
             choices.rows.append([*row, cost.integrator, cost.limited_by])
         print_progress(f"integrators at {modulus:g} N/m")
     report.tables += [factors, evaluations, choices]
+    if options.garment:
+        _measure_garment(report, options.garment, options.garment_frames)
     report.note(
         f"the cloth of config/cloth_sim.yaml, shear modulus a tenth of the stretch modulus, {options.frames} frames; a "
         f"gripper carries its corner; processor time on one core, fastest of at most {options.rounds} runs"
@@ -150,3 +161,30 @@ def _run(values: dict[str, Any], frames: int) -> FrameCosts:
         integrator=integrators.most_common(1)[0][0],
         limited_by=limits.most_common(1)[0][0],
     )
+
+
+def _measure_garment(report: Report, vertices: int, frames: int) -> None:
+    """Measure the frames of a T-shirt that two grippers swing."""
+    columns = ["vertices", "cores", "median ms", "p99 ms", "at most", "evaluations", "judged", "repeated"]
+    table = report.add_table("A T-shirt that two grippers swing, wall time of a frame", columns)
+    values = garment.parameters(bending="altitude", tolerance=1e-3)
+    scene = Scene.from_parameters(values, files={"garment.obj": garment.obj_file(vertices)})
+    for one_core, limit in zip((True, False), _GARMENT_LIMITS, strict=True):
+        with cores(one_core=one_core):
+            simulation = Simulation(scene)
+            seconds, evaluations, judged, rejected = list[float](), 0, 0, 0
+            for k in range(_GARMENT_WARM + frames):
+                at = {name: tuple(garment.target(name, k * scene.period).tolist()) for name in garment.SHOULDERS}
+                events: list[Event] = [Target(name, position) for name, position in at.items()]
+                begun = time.perf_counter()
+                advance = simulation.advance([*events, *(Grasp(name, True) for name in at if k == 0)]).advance
+                assert advance is not None
+                if k >= _GARMENT_WARM:
+                    seconds.append(time.perf_counter() - begun)
+                    evaluations += advance.evaluations
+                    judged += advance.evaluations > advance.steps + _MIN_JUDGED
+                    rejected += advance.rejected > 0
+        median, slowest = (1e3 * float(np.quantile(seconds, q)) for q in (0.5, 0.99))
+        row = [len(simulation.positions), 1 if one_core else "all", median, slowest, limit, evaluations / frames]
+        table.rows.append([*row, f"{judged / frames:.0%}", f"{rejected / frames:.0%}"])
+        report.require(slowest <= limit, f"p99 is {slowest:.3g} ms; at most {limit:g} ms")
