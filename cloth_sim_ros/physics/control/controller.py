@@ -244,7 +244,7 @@ class Controller:
             limit = min(self._met_limit, limit)
             max_step = min(CONSTANTS.stability_safety * limit, stretch)
             should_halve = self._has_tolerance and self._stability.should_halve(max_step, stretch)
-            if not (should_halve and self._halve(stretch)):
+            if not (should_halve and self._halve(stretch, is_rough=self._is_rough)):
                 break
         if options.step is not None and options.step <= limit:
             max_step = options.step
@@ -294,14 +294,14 @@ class Controller:
         self.estimates_error = self.estimates_error or (self._has_tolerance and rule.ratio != recorded_ratio)
         return rule.ratio
 
-    def _halve(self, length: float) -> bool:
-        """Halve the next piece, of a length [s], as rough motion; return False if it would be too short."""
+    def _halve(self, length: float, *, is_rough: bool = True) -> bool:
+        """Halve the next piece, of a length [s], as rough motion or not; return False if it would be too short."""
         if length < 2.0 * _MIN_PIECE * self._duration:
             return False
         if self._piece is not None and self._piece.pieces_left > 1:
             self._ends.append(self._elapsed + length)
         self._ends.append(self._elapsed + 0.5 * length)
-        self._is_rough, self.estimates_error = True, True
+        self._is_rough, self.estimates_error = is_rough, self.estimates_error or is_rough
         self._piece, self._met_limit, self._attempts = None, math.inf, 0
         return True
 
@@ -734,7 +734,7 @@ class Controller:
         frame.has_missed = frame.has_missed or error > self._allowed
         frame.refined_time += length if self.refinement > 1.0 else 0.0
         if self.estimates_error:
-            frame.add_estimate(tableau, self._prediction, self._estimate.errors)
+            frame.add_estimate(tableau, self._prediction, self._estimate.errors, self.refinement)
         self._before = state.v, length
         tableau.commit(n_runs, state)
         if self._has_tolerance:

@@ -59,10 +59,10 @@ class FrameTotals:
     longest_step, longest_runs = 0.0, 1
     #: Sum of predicted errors [m]; largest activity and largest changes of jerk, also by grippers, of a piece [m/s].
     predicted_error, activity, jerk_change, grip_jerk_change = 0.0, 0.0, 0.0, 0.0
-    #: False while pieces are accepted by predictions. Each has an estimate then; False if a piece has other runs, which
-    #: makes the sums of estimates useless.
-    has_estimates, is_uniform = False, True
-    #: Step counts of the runs, and length of each piece [s].
+    #: False while pieces are accepted by predictions. Each has an estimate then; False if a piece has another refinement,
+    #: which makes the sums of estimates useless. The refinement.
+    has_estimates, is_uniform, refinement = False, True, 1.0
+    #: Step counts of the runs, and length [s], of the piece with the shortest steps.
     runs: tuple[tuple[int, ...], float] = (), 0.0
     #: Errors of T_1, T_2, ... [m], as many as all pieces have in common.
     errors: Sequence[float] = ()
@@ -81,14 +81,19 @@ class FrameTotals:
         self.lower_order_error += prediction.lower_order_error
         self.contact_energy = max(self.contact_energy, prediction.contact_energy)
 
-    def add_estimate(self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: Sequence[float]) -> None:
-        """Add an accepted piece's error estimates [m] of 1, 2, ... combined runs."""
+    def add_estimate(
+        self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: Sequence[float], refinement: float
+    ) -> None:
+        """Add an accepted piece's error estimates [m] of 1, 2, ... combined runs, and its refinement."""
         runs, changes = (tableau.counts, tableau.duration), [tableau.change(k) for k in range(1, len(errors) + 1)]
         if self.has_estimates:
-            self.is_uniform &= self.runs == runs
+            self.is_uniform &= self.refinement == refinement
+            # Predictions from the shortest steps overestimate the others.
+            runs = min(self.runs, runs, key=lambda piece: piece[1] / piece[0][0])
             errors = [ordered_sum(pair) for pair in zip(self.errors, errors, strict=False)]
             changes = [(x + dx, v + dv) for (x, v), (dx, dv) in zip(self.changes, changes, strict=False)]
         self.has_estimates, self.runs, self.errors, self.changes = True, runs, errors, changes
+        self.refinement = refinement
         self.predicted_error += prediction.error
         self.activity = max(self.activity, prediction.activity)
         self.jerk_change = max(self.jerk_change, tableau.jerk_change)
