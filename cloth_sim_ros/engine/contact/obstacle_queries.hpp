@@ -284,7 +284,7 @@ ContactBounds contact_limits(const Contacts& contacts, double energy) {
     const auto law = contacts.law<double>();
     const double gap = stopping_gap(energy) * contacts.thickness;
     r.omega2 = law.stiffness(gap);
-    r.damping = larger(law.damping(gap), r.damping);
+    r.damping = larger(laws::damping_at_energy(law, energy), r.damping);
     if (!contacts.has_friction()) return r;
     r.omega2 = larger(contacts.frequency * contacts.frequency, r.omega2);
     r.damping = larger(FrictionLaw<double>::damping_per_frequency * contacts.frequency, r.damping);

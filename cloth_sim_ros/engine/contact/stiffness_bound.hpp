@@ -47,14 +47,15 @@ struct ContactLoad {
     RowSums rows;
 
     void include_energy(double more) { energy = larger(more, energy); }
-    /// Add the bounds once the contacts have absorbed `expected` times their energy.
-    template <class V>
-    void add_to(ContactBounds& bounds, const ContactLaw<V>& law, double thickness, double expected,
-                double min_row_sum) const {
+    /// Add the bounds once the contacts have absorbed `expected` times their energy. `closing(b, shape)` is their largest
+    /// closing speed [m/s] where the barrier has the energy `shape` of their energy b.
+    template <class F>
+    void add_to(ContactBounds& bounds, const ContactLaw<double>& law, double thickness, double expected,
+                double min_row_sum, F&& closing) const {
         if (!(energy > 0.0)) return;
-        const double row_sum = larger(rows.max(), min_row_sum), at = stopping_gap(expected * energy) * thickness;
-        bounds.omega2 += row_sum * law.stiffness(at);
-        bounds.damping += row_sum * law.damping(at);
+        const double row_sum = larger(rows.max(), min_row_sum), b = expected * energy;
+        bounds.omega2 += row_sum * law.stiffness(stopping_gap(b) * thickness);
+        bounds.damping += row_sum * law.damping_up_to(b, [&](double shape) { return closing(b, shape); });
     }
 };
 
@@ -146,7 +147,10 @@ public:
         }
         for (int edges = 0; edges < 2; ++edges) {
             const double d = edges ? 0.5 * thickness : thickness;
-            loads_[edges].add_to(r, ContactLaw<double>(d, damping), d, expected, min_row_sum);
+            // See `energy_to_stop`.
+            loads_[edges].add_to(
+                r, ContactLaw<double>(d, damping), d, expected, min_row_sum,
+                [](double b, double shape) { return ContactLaw<double>::speed * root(0.5 * larger(b - shape, 0.0)); });
         }
         return r;
     }
@@ -199,6 +203,7 @@ public:
             load_.rows.include(mobility_ * mass_ * weight[k] / s.masses[corner[k]]);
         }
         load_.include_energy(shape + speed * speed / (mass_ * inverse));
+        max_closing_ = larger(closing, max_closing_);
     }
     /// Add a gap that comes into contact within a duration [s], because the step has to be short enough before that.
     /// `distance` [m] is left until then.
@@ -216,13 +221,15 @@ public:
     }
     ContactBounds bounds(const SurfaceLaw<double>& law, double expected = 1.0) const {
         ContactBounds r;
-        load_.add_to(r, law.law(false), law.thickness(false), expected, 1.0);
+        load_.add_to(r, law.law(false), law.thickness(false), expected, 1.0,
+                     [&](double, double) { return expected * max_closing_; });
         return r;
     }
 
 private:
     double mass_, inverse_jaw_mass_ = 0.0, mobility_ = 1.0;
-    std::int64_t jaw_ = -1;  ///< index of the present obstacle's gripper, or -1
+    double max_closing_ = 0.0;  ///< [m/s]
+    std::int64_t jaw_ = -1;     ///< index of the present obstacle's gripper, or -1
     ContactLoad load_;
     std::vector<double> jaw_loads_;
 };

@@ -63,6 +63,11 @@ public:
         const Terms t = terms(gap);
         return damping_scale_ * (damping_speed_ * t.n / t.denominator);
     }
+    /// Bound of this slope at all gaps that take at most the energy b, where `closing(b')` is the largest closing speed
+    /// [m/s] at the energy b'. It must not decrease with the gap. The slope is damping(gap) (1 + v / sqrt(1 + v^2)) / 2,
+    /// v = u / 2: its first factor decreases with the gap, its second one increases.
+    template <class F>
+    double damping_up_to(double b, F&& closing) const;
 
 private:
     /// n = (1 - s)^3 (1 + 3 s) = s^2 |b'|, and s^2 + kappa U n.
@@ -94,6 +99,29 @@ inline double stopping_gap(double b) {
         s += residual / (4.0 * cube + b);
     }
     return s;
+}
+
+template <class V>
+template <class F>
+double ContactLaw<V>::damping_up_to(double b, F&& closing) const {
+    if (!(damping_speed_ > 0.0)) return 0.0;
+    constexpr int intervals = 32;
+    const double start = stopping_gap(b), width = (1.0 - start) / intervals, thickness = 1.0 / inverse_;
+    double largest = 0.0;
+    Terms from = terms(start * thickness);
+    for (int k = 1; k <= intervals; ++k) {
+        const Terms to = terms((start + k * width) * thickness);
+        const double shape = to.r * to.r * (to.r * to.r) / to.s,
+                     v = half_damping_ * closing(shape) * (to.square / to.denominator);
+        largest = larger(damping_speed_ * from.n / from.denominator * (0.5 + 0.5 * v / root(fma(v, v, 1.0))), largest);
+        from = to;
+    }
+    return damping_scale_ * largest;
+}
+
+/// The same for contacts that have the energy b in all: what the barrier does not have is motion.
+inline double damping_at_energy(const ContactLaw<double>& law, double b) {
+    return law.damping_up_to(b, [&](double shape) { return ContactLaw<double>::speed * root(larger(b - shape, 0.0)); });
 }
 
 }  // namespace cloth::laws

@@ -4,6 +4,8 @@
 // Law of the contact barrier.
 #include "laws/contact.hpp"
 
+#include <algorithm>
+
 #include "samples.hpp"
 
 namespace cloth::tests {
@@ -66,6 +68,36 @@ TEST_CASE("damping of the barrier dissipates and never pulls") {
         CHECK(both.push >= 0.0);
         CHECK((both.push - both.elastic) * closing >= 0.0);
     }
+}
+
+TEST_CASE("the damping rate up to an energy bounds the slope at all gaps and speeds of that energy") {
+    Random random;
+    const double speed = ContactLaw<double>::speed;
+    for (const double coefficient : {0.05, 1.0, 10.0, 100.0}) {
+        const ContactLaw<double> law(thickness, coefficient);
+        const ContactLaw<Dual> dual_law(thickness, coefficient);
+        const auto slope = [&](double s, double closing) {
+            return dual_law.push({s * thickness, 0.0}, {closing, 1.0}).slope;
+        };
+        for (const double b : {1e-7, 1e-5, 1e-3, 0.1, 3.0}) {
+            const double given = speed * random.uniform(0.0, 0.3), start = stopping_gap(b);
+            const double by_energy = damping_at_energy(law, b),
+                         by_speed = law.damping_up_to(b, [&](double) { return given; });
+            double largest_by_energy = 0.0, largest_by_speed = 0.0;
+            for (int round = 0; round < 2000; ++round) {
+                const double s = start + (1.0 - start) * random.uniform(1e-6, 1.0);
+                const double available = speed * std::sqrt(std::max(b - law.shape(s * thickness), 0.0));
+                largest_by_energy = std::max({largest_by_energy, slope(s, available), slope(s, -available)});
+                largest_by_speed = std::max({largest_by_speed, slope(s, given), slope(s, 0.0)});
+            }
+            CHECK(largest_by_energy <= by_energy * (1.0 + 1e-9));
+            CHECK(largest_by_speed <= by_speed * (1.0 + 1e-9));
+            CHECK(largest_by_energy >= 0.85 * by_energy);
+            CHECK(largest_by_speed >= 0.85 * by_speed);
+            CHECK(by_energy <= law.damping(start * thickness));
+        }
+    }
+    CHECK(damping_at_energy(ContactLaw<double>(thickness, 0.0), 0.1) == 0.0);
 }
 
 TEST_CASE("the damping rate of the barrier bounds the slope with respect to speed") {
