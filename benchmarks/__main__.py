@@ -13,10 +13,7 @@ from validation.command import run_command
 COMMANDS = {
     "speed": ("benchmarks.speed.overview", "ns per spring against C, simulated seconds per wall second, two threads"),
     "real-time": ("benchmarks.speed.real_time", "real-time factor by particles, stiffness, tolerance, integrator"),
-    "feature-cost": (
-        "benchmarks.speed.feature_cost",
-        "cost of a feature absent, idle and active, and of several",
-    ),
+    "feature-cost": ("benchmarks.speed.feature_cost", "cost of a feature absent, idle and active, and of several"),
     "scale": ("benchmarks.scale.sheet", "time per particle and step, and memory, from 10^3 to 10^6 particles"),
     "peers": ("benchmarks.peers.throughput", "other engines on the same sheet, in an environment of their own"),
     "peers-contact": ("benchmarks.peers.contact", "other engines on a drape, a fold and a pinch; depth and creep"),

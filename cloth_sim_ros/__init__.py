@@ -11,6 +11,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.engine import __version__ as __version__
     from cloth_sim_ros.physics.control.extrapolated import Extrapolated
     from cloth_sim_ros.physics.control.leapfrog import Leapfrog
     from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
@@ -53,9 +54,8 @@ if TYPE_CHECKING:
     )
     from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
-__version__ = "0.2.0"
-
 _MODULES = {
+    "__version__": "engine",
     "Advance": "physics.integrators.base",
     "AddedMass": "physics.model.forces.added_mass",
     "AirPanels": "physics.model.forces.air_panels",

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import subprocess
@@ -99,6 +100,25 @@ def test_an_answer_is_less_than_three_clicks_away(question: str) -> None:
 def test_files_that_a_page_names_are_there(path: Path) -> None:
     named = set(re.findall(r"\w[\w./]*\.(?:py|hpp|cpp)\b", path.read_text()))
     assert not {name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in FILES)}
+
+
+@pytest.fixture(scope="module")
+def members() -> dict[str, set[str]]:
+    """Names of methods, fields and read attributes in the body of each class of the package, by the class."""
+    by_class: dict[str, set[str]] = {}
+    for path in sorted((ROOT / "cloth_sim_ros").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.ClassDef):
+                names = {getattr(part, key, None) for part in ast.walk(node) for key in ("name", "attr", "id")}
+                by_class[node.name] = {name for name in names if isinstance(name, str)}
+    return by_class
+
+
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: str(path.relative_to(ROOT)))
+def test_members_that_a_page_names_are_there(path: Path, members: dict[str, set[str]]) -> None:
+    # The migration page names old members.
+    named = re.findall(r"`([A-Z]\w+)\.([a-z_]\w*)\b", path.read_text()) if path.name != "migration.md" else []
+    assert not [f"{owner}.{name}" for owner, name in named if owner in members and name not in members[owner]]
 
 
 @pytest.mark.parametrize("path", WRITTEN, ids=lambda path: str(path.relative_to(ROOT)))

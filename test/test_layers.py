@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import graphlib
 import json
 import subprocess
 import sys
@@ -263,10 +264,19 @@ def test_lazy_imports_respect_the_layers(path: Path) -> None:
 
 def test_subpackages_do_not_import_the_public_api() -> None:
     # `from cloth_sim_ros import Simulation` loads a name from any subpackage, which the tests above don't see.
-    public = {f"cloth_sim_ros.{name}" for name in [*cloth_sim_ros.__all__, "_PLACES"]}
+    public = {f"cloth_sim_ros.{name}" for name in [*cloth_sim_ros.__all__, "__version__", "_MODULES"]}
     paths = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
     public_imports = {str(path.relative_to(PACKAGE)): imports_of(path) & public for path in paths}
     assert not {name: names for name, names in public_imports.items() if names}
+
+
+def test_modules_import_each_other_in_no_circle() -> None:
+    # Imports for annotations and lazy imports count too; the `__init__.py` of a subpackage imports its own modules.
+    paths = [path for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"]
+    modules = {".".join(path.relative_to(ROOT).with_suffix("").parts): imports_of(path) for path in paths}
+    graph = {name: imported & modules.keys() for name, imported in modules.items()}
+    # Raises CycleError, which names the circle.
+    graphlib.TopologicalSorter(graph).prepare()
 
 
 def test_every_subpackage_is_listed() -> None:

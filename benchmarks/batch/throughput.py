@@ -189,14 +189,11 @@ def memory(count: int, resolution: int) -> tuple[float, float]:
         count: number of cloths.
         resolution: particles a side.
     """
+    cases = [(cloths, resolution) for cloths in (count, 3 * count)]
     # In separate processes: a process returns little memory to the system and reuses it for the next cloths.
-    (state, less), (_, more) = (_in_a_process(cloths, resolution) for cloths in (count, 3 * count))
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        (state, less), (_, more) = pool.starmap(_memory_use, cases, chunksize=1)
     return state, (more - less) / (2 * count)
-
-
-def _in_a_process(count: int, resolution: int) -> tuple[float, float]:
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_memory_use, (count, resolution))
 
 
 def _memory_use(count: int, resolution: int) -> tuple[float, float]:

@@ -52,14 +52,14 @@ def run(options: argparse.Namespace) -> Report:
     times = time_interleaved(runs, seconds=options.seconds, clock=time.process_time)
     period = Scene().period
     columns = ["scene", "ms a frame", "more than without % of 1/60 s", "ratio"]
-    table = Table("Far links of a robot beside the default cloth", columns)
+    table = report.add_table("Far links of a robot beside the default cloth", columns)
     for name in runs:
         more = (times.median(name) - times.median("no obstacle")) / _FRAMES
         ratio = times.ratio(name, "no obstacle")
         table.rows.append([name, 1e3 * times.median(name) / _FRAMES, 100.0 * more / period, ratio])
         if more > _MAX_SHARE * period:
             report.fail(f"{name}: {100.0 * more / period:.3g} % of a frame; at most {100.0 * _MAX_SHARE:g}")
-    report.tables += [table, _near_links()]
+    report.tables.append(_near_links())
     return report
 
 

@@ -223,8 +223,7 @@ def between_pads(start: Array, solid: Obstacle, places: Array) -> NDArray[np.boo
     """
     x, _, z = (0.5 * length for length in solid.size)
     away = np.abs(start - places.mean(axis=0))
-    between: NDArray[np.bool_] = (away[:, 0] <= x) & (away[:, 2] <= z)
-    return between
+    return np.asarray((away[:, 0] <= x) & (away[:, 2] <= z))
 
 
 def dropped(frames: Array, solid: Obstacle, pads: Array) -> int | None:
@@ -314,12 +313,9 @@ class ContactResult:
 def run(options: argparse.Namespace) -> Report:
     """Run the selected scenes and engines."""
     contact_scenes = [CONTACT_SCENES[name](options.resolution) for name in options.scenes]
-    folder = options.environment.expanduser().absolute()
-    requirements = {name: PACKAGES[name] for name in options.peers}
-    absent = peer_environment.prepare(folder, requirements, print_progress) if requirements else {}
-    peers = [peer for peer in CONTACT_PEERS if peer.package in requirements]
     report = Report("Peers in contact")
-    report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
+    folder, absent = peer_environment.prepare_selected(options, PACKAGES, report)
+    peers = [peer for peer in CONTACT_PEERS if peer.package in options.peers]
     table, tried = Table("Cloth that touches", COLUMNS), Table("Each step tried", COLUMNS)
     for contact_scene in contact_scenes:
         print_progress(f"{contact_scene.name}: {PRODUCT}")

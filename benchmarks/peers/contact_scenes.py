@@ -86,8 +86,7 @@ class ContactScene:
     @property
     def triangles(self) -> NDArray[np.int64]:
         """Triangles of the sheet, (t, 3)."""
-        triangles: NDArray[np.int64] = self.scene.sheet.triangles()
-        return triangles
+        return np.asarray(self.scene.sheet.triangles())
 
     @property
     def edges(self) -> NDArray[np.int64]:
@@ -98,8 +97,7 @@ class ContactScene:
     @property
     def edge_lengths(self) -> Array:
         """Lengths of these edges at rest [m], (m,)."""
-        lengths: Array = np.linalg.norm(np.subtract(*self.start[self.edges.T]), axis=1)
-        return lengths
+        return np.asarray(np.linalg.norm(np.subtract(*self.start[self.edges.T]), axis=1))
 
     @property
     def start(self) -> Array:

@@ -26,6 +26,7 @@ from support.raw_sheet import SHEET
 from cloth_sim_ros import Drag, Gravity, GridSprings
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from validation.command import above
+from validation.report import Report, print_progress
 
 #: Variables that point another Python to this environment or to a sourced ROS: library and module paths, and the guard
 #: with which the ROS wheels mark a library path that is already set.
@@ -72,6 +73,17 @@ def clean_variables(**more: str) -> dict[str, str]:
 def python_of(folder: Path) -> Path:
     """Return the path of the environment's Python."""
     return folder / "bin" / "python"
+
+
+def prepare_selected(
+    options: argparse.Namespace, requirements: Mapping[str, tuple[str, ...]], report: Report
+) -> tuple[Path, dict[str, str]]:
+    """Prepare the environment for the peers of the options; return it, and the reasons of `prepare`, also noted."""
+    folder = options.environment.expanduser().absolute()
+    selected = {name: requirements[name] for name in options.peers}
+    absent = prepare(folder, selected, print_progress) if selected else {}
+    report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
+    return folder, absent
 
 
 def prepare(
@@ -343,10 +355,9 @@ def attempt(
     except subprocess.TimeoutExpired as error:
         raise PeerFailed(f"{peer.name}: no result after {limit:.0f} s") from error
     if done.returncode:
-        lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
         status = done.returncode
         end = f"ended with status {status}" if status > 0 else f"was killed by {signal.Signals(-status).name}"
-        raise PeerFailed(f"{peer.name}: {end}: {lines[-1] if lines else 'no word of why'}")
+        raise PeerFailed(f"{peer.name}: {end}: {last_line(done.stderr)}")
     return Attempt(steps=steps, **json.loads(done.stdout))
 
 

@@ -66,12 +66,9 @@ def run(options: argparse.Namespace) -> Report:
     for resolution in options.resolutions:
         # Checked before any expensive run.
         speed_curtain.scored(SCENES[options.scene], resolution)
-    folder = options.environment.expanduser().absolute()
-    requirements = {name: REQUIREMENTS[name] for name in options.peers}
-    absent = peer_environment.prepare(folder, requirements, print_progress) if requirements else {}
-    peers = [peer for peer in PEERS if peer.package in requirements and peer.package not in absent]
     report = Report("Peers")
-    report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
+    folder, absent = peer_environment.prepare_selected(options, REQUIREMENTS, report)
+    peers = [peer for peer in PEERS if peer.package in options.peers and peer.package not in absent]
     report.note(
         f"a peer's step is the longest, to about a fifth, at which its sheet stays whole for {options.duration:g} s: "
         f"no edge longer than {options.stretch:g} times its rest length at any frame; peers do not report their error"

@@ -24,7 +24,7 @@ import numpy as np
 from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from validation.command import at_least, run_module
-from validation.report import Report, Table
+from validation.report import Report
 
 #: Steps per frame: enough to make the cost per frame negligible at any size.
 STEPS = 40
@@ -156,10 +156,10 @@ def run(options: argparse.Namespace) -> Report:
     """Measure all sheets, each in separate processes."""
     report = Report("From a thousand particles to a million")
     columns = ["sheet", "particles", "build s", "frame ms", "ns a particle and step", "to 10^4"]
-    times = Table("Time", columns)
+    times = report.add_table("Time", columns)
     columns = ["sheet", "particles", "most while built", "most while run", "state", "forces", "tables"]
     columns.append("run to their sum")
-    memory = Table("Memory, MB", columns)
+    memory = report.add_table("Memory, MB", columns)
     for kind in options.kinds:
         sheets = _sheets(kind, options, report)
         if not sheets:
@@ -176,7 +176,6 @@ def run(options: argparse.Namespace) -> Report:
                 report.fail(f"{kind} of {sheet['particles']}: {ratio:.2f} times the time of 10^4")
             if sheet["particles"] >= _LARGE and share > MAX_MEMORY_RATIO:
                 report.fail(f"{kind} of {sheet['particles']}: {share:.2f} times the memory of what it must hold")
-    report.tables += [times, memory]
     report.note("each sheet in separate processes, sizes in turns; shortest median frame of several")
     report.note("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
     return report

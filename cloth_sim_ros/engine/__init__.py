@@ -7,6 +7,8 @@ then `grid/row.hpp` (one step of one row of a sheet), `plan/frame.hpp` (a frame)
 interface). `binding` loads the library that fits the machine and checks its arguments. See docs/engine.md.
 """
 
+#: Version of the package.
+__version__ = "0.2.0"
 #: Number of the package's arithmetic, recorded with every session. It is raised whenever a change alters the bits of a
 #: scene. 1 stands for the versions before the engine, which recorded none.
 NUMERICS = 26

@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.fit.trajectory import SimulatedMotion
 from cloth_sim_ros.physics.model.forces.force import Array
 
@@ -184,11 +184,11 @@ def cloud_residuals(
         from cloth_sim_ros.fit.surface import signed_distances
 
         triangles = scene.sheet.triangles()
-        points = [alignment.from_camera(cloud[is_visible(cloud)], pivot) for cloud in _selected(recording, clouds)]
+        points = [alignment.from_camera(cloud[visible_mask(cloud)], pivot) for cloud in _selected(recording, clouds)]
         return [signed_distances(p, positions, triangles)[:, None] for p, positions in zip(points, x, strict=True)]
     shown = alignment.to_camera(x, pivot)
     return [
-        cloud[is_visible(cloud)] - positions[is_visible(cloud)]
+        cloud[visible_mask(cloud)] - positions[visible_mask(cloud)]
         for cloud, positions in zip(_selected(recording, clouds), shown, strict=True)
     ]
 
@@ -288,7 +288,7 @@ def _align(
     for recording, trajectory, indices in zip(recordings, trajectories, clouds, strict=True):
         frames = _frames_from(recording, trajectory)[indices] - offset * recording.scene.rate
         for cloud, x in zip(_selected(recording, indices), trajectory.sample(frames), strict=True):
-            seen = is_visible(cloud)
+            seen = visible_mask(cloud)
             simulated.append(x[seen])
             measured.append(cloud[seen])
     return _register(np.concatenate(simulated), np.concatenate(measured), offset, model)

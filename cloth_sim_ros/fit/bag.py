@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cloth_sim_ros.fit import message_fields, tables
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.fit.start import rest_recording
 from cloth_sim_ros.scene.scene import Scene
 
@@ -206,7 +206,7 @@ def _read_fields(
     for log_time, message in message_fields.topic_messages(paths, topic):
         points = message_fields.points_of(message, field)
         if not matched:
-            points = points[is_visible(points)]
+            points = points[visible_mask(points)]
         elif index_field:
             indices = message_fields.indices_of(message, index_field)
             if len(indices) != len(points):
@@ -336,7 +336,7 @@ def _read_cloud(
         raise FitError(f"a cloud is given {frames}; give --camera-pose, transform it, or set frame_id")
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
-        return cloud.stamp, time, points[is_visible(points)]
+        return cloud.stamp, time, points[visible_mask(points)]
     indices = _read_indices(decode(data, _CLOUD), index_field)
     if indices is None:
         return cloud.stamp, time, points

@@ -10,7 +10,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.fit.joint import JointProblem, JointSolution
+from cloth_sim_ros.fit.joint import JointProblem
+from cloth_sim_ros.fit.joint_solver import JointSolution
 from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Least number of motions of intervals by motion.

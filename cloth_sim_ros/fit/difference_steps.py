@@ -7,7 +7,7 @@ from __future__ import annotations
 import attrs
 import numpy as np
 
-from cloth_sim_ros.fit.joint import Derivatives, roughness
+from cloth_sim_ros.fit.joint import Derivatives
 from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Limits of the difference steps of a logarithm.
@@ -54,3 +54,17 @@ class DifferenceSteps:
 def step_bounds(sigmas: Array) -> Array:
     """Return standard deviations of logarithms, clipped to the limits of difference steps (0.02 to 0.1), shape (p,)."""
     return np.clip(sigmas, MIN_STEP, MAX_STEP)
+
+
+def roughness(derivatives: Derivatives) -> Array:
+    """Return the fraction of short waves in each parameter's difference quotients, from 0 to 1, shape (p,).
+
+    Folds that come and go change the residuals by amounts that do not grow with the difference step. If these are alike
+    at three points, the square sum of the second difference is three times that of the central one.
+    """
+    shares = []
+    for i, step in enumerate(derivatives.steps):
+        second = sum(float(np.square(2.0 * c).sum()) for row in derivatives.curvatures for c in row[i])
+        first = sum(float(np.square(2.0 * step * s).sum()) for row in derivatives.slopes for s in row[i])
+        shares.append(min(second / (3.0 * first), 1.0) if first > 0.0 else 0.0)
+    return np.array(shares)

@@ -14,9 +14,9 @@ import numpy as np
 
 from cloth_sim_ros.fit.fit import Estimate, Fit, fitted_positions
 from cloth_sim_ros.fit.information import ConfoundedDirection
-from cloth_sim_ros.fit.motions import MotionFit
+from cloth_sim_ros.fit.motions_result import MotionFit
 from cloth_sim_ros.fit.parameters import scene_with
-from cloth_sim_ros.fit.recording import is_visible
+from cloth_sim_ros.fit.recording import visible_mask
 from cloth_sim_ros.fit.text import verdict
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.session import old_keys
@@ -129,7 +129,7 @@ def write_plot(fit: Fit, path: Path) -> None:
     if fit.recording.matched:
         positions = fitted_positions(fit) + (0.0 if fit.shift is None else np.array(fit.shift))
         residuals = [
-            cloud[is_visible(cloud)] - x[is_visible(cloud)]
+            cloud[visible_mask(cloud)] - x[visible_mask(cloud)]
             for cloud, x in zip(fit.recording.clouds, positions, strict=False)
         ]
         residuals_mm = 1e3 * np.concatenate(residuals)

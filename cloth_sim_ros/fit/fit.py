@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.fit.information import ConfoundedDirection, confounded_directions, correlation
 from cloth_sim_ros.fit.misfit import MISFIT_RATIO
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
-from cloth_sim_ros.fit.recording import FitRecording, check_recording, is_visible, residual_offsets
+from cloth_sim_ros.fit.recording import FitRecording, check_recording, residual_offsets, visible_mask
 from cloth_sim_ros.fit.runs import FitRun, FitRunPool, mean_offset, residuals, simulate, simulate_with_misses
 from cloth_sim_ros.fit.solver import FitProblem, fisher_information, standard_deviations
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION, WindowedFit, solve_windows
@@ -210,7 +210,7 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
         is_identified = bound <= within and not is_at_limit and not doubt
         flags = {"is_identified": is_identified, "is_at_limit": is_at_limit, "is_explained": not doubt}
         estimates.append(Estimate(parameter=parameter, value=value, bound=bound, **flags))
-    n_seen = [int(is_visible(cloud).sum()) for cloud in recording.clouds[: last.n_clouds]]
+    n_seen = [int(visible_mask(cloud).sum()) for cloud in recording.clouds[: last.n_clouds]]
     n_points = sum(len(cloud) for cloud in recording.clouds[: last.n_clouds])
     offset = None
     if recording.has_shift:

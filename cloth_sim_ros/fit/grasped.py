@@ -30,7 +30,7 @@ _CALIBRATION_SIGMA = 0.002
 
 @attrs.frozen(kw_only=True)
 class GraspedParticles:
-    """Particles that one gripper holds from the first cloud on, and their distances from it."""
+    """Particles that one gripper holds from the first cloud on, and how far it is from them and from the others."""
 
     #: Name of the gripper.
     gripper: str

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.parameters import FitParameter
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Least component of a parameter that belongs to a direction, relative to the largest component.
@@ -67,7 +67,7 @@ def correlation(recording: FitRecording, r: Array, n_clouds: int) -> float:
     n_pairs = 0
     previous: NDArray[np.float64] | None = None
     for cloud in recording.clouds[:n_clouds]:
-        seen = is_visible(cloud)
+        seen = visible_mask(cloud)
         residuals = np.full(cloud.shape, np.nan)
         count = 3 * int(seen.sum())
         residuals[seen] = r[offset : offset + count].reshape(-1, 3)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cloth_sim_ros.fit.fit import Fit
-    from cloth_sim_ros.fit.motions import MotionFit
+    from cloth_sim_ros.fit.motions_result import MotionFit
     from cloth_sim_ros.fit.recording import FitRecording
     from cloth_sim_ros.scene.scene import Scene
 

@@ -9,29 +9,25 @@ from collections.abc import Callable, Mapping, Sequence
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 
-from cloth_sim_ros.fit.alignment import FIXED, PER_RECORDING, SHARED, Alignment, AlignmentModel, search_alignment
-from cloth_sim_ros.fit.clusters import MIN_MOTIONS, Covariance, jackknife_covariance, noise_covariance
+from cloth_sim_ros.fit.alignment import FIXED, PER_RECORDING, SHARED, AlignmentModel
+from cloth_sim_ros.fit.clusters import noise_covariance
 from cloth_sim_ros.fit.difference_steps import DifferenceSteps, step_bounds
-from cloth_sim_ros.fit.fit import Estimate
-from cloth_sim_ros.fit.hypotheses import GraspChoice
-from cloth_sim_ros.fit.information import ConfoundedDirection, confounded_directions
-from cloth_sim_ros.fit.joint import JointProblem, JointSolution, Point, linear_clouds, solve_joint
+from cloth_sim_ros.fit.joint import JointProblem, Point
+from cloth_sim_ros.fit.joint_solver import JointSolution, align_all, linear_clouds, replace_alignment, solve_joint
+from cloth_sim_ros.fit.motions_result import TOLERANCE, MotionFit, build_result
 from cloth_sim_ros.fit.noise import HUBER, median_deviation
-from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
+from cloth_sim_ros.fit.parameters import FitError, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.recording import FitRecording, check_recording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, check_recording, visible_mask
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
-from cloth_sim_ros.fit.scores import Score, driven_floors, excess_misfit, pooled_score, rigid_distances, score
 from cloth_sim_ros.fit.screening import UnusedClouds, screen_clouds
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.scene.scene import Scene
 
-#: Tolerances of the simulations of the search and of the result [m].
-SEARCH_TOLERANCE, TOLERANCE = 1e-4, 1e-4
+#: Tolerance of the simulations of the search [m].
+SEARCH_TOLERANCE = 1e-4
 #: Number of recordings of the first search.
 N_SEARCHED = 6
 #: Step at which a first search ends [standard deviations].
@@ -48,87 +44,6 @@ MAX_LINEARIZATIONS = 5
 _STALE_SIGMAS, _STALE_STEP = 3.0, 0.1
 #: Median residual of a cloud above which it cannot be the cloth [median of all clouds].
 OUTLIER_RATIO = 6.0
-#: Root mean square of a motion's residuals above which the report names it [median of all motions].
-SUSPICIOUS_RATIO = 2.5
-
-
-@attrs.frozen(eq=False, kw_only=True)
-class MotionScore:
-    """Distances of one motion's points from the fitted cloth and from a rigid cloth [m]."""
-
-    name: str
-    #: Of the cloth, with parameters fitted on the other motions (or on all, if there are too few).
-    model: Score
-    #: Of the cloth carried rigidly by its grippers.
-    rigid: Score
-    #: True if no parameter was fitted on it.
-    is_held_out: bool
-    #: Camera's error at the driven particles; None if nothing was fitted on the motion, or if it shows none of them.
-    floor: Score | None = None
-
-
-@attrs.frozen(eq=False, kw_only=True)
-class MotionFit:
-    """Result of a fit to several recordings: estimates, alignments, scores and doubts."""
-
-    name: str
-    scene: Scene
-    recordings: tuple[FitRecording, ...]
-    estimates: tuple[Estimate, ...]
-    confounded: tuple[ConfoundedDirection, ...]
-    #: Covariance of the logarithms of the parameters, shape (p, p), and how it was found.
-    covariance: Covariance
-    #: Time offset and camera pose of each recording; None if it has its own, and none of its clouds is used.
-    alignments: tuple[Alignment | None, ...]
-    alignment_model: AlignmentModel
-    #: Standard deviations of the alignment's unknowns, shape (unknowns,).
-    alignment_sigmas: NDArray[np.float64]
-    #: Standard deviation of the white noise of a coordinate [m], and share of the smooth errors in the variance.
-    sigma: float
-    smooth_share: float
-    #: Score of the fitted model on the motions that it was fitted on.
-    fitted: Score
-    #: Scores on motions without them, pooled, and for each motion.
-    held_out: Score | None
-    rigid: Score
-    motions: tuple[MotionScore, ...]
-    #: Error of the driven particles as the camera shows them, and its description.
-    floor: Score | None
-    floor_basis: str
-    #: Part of the error that the floor does not explain [m]; None if it explains all.
-    excess: float | None
-    n_clouds: int
-    n_recorded_clouds: int
-    left_out: UnusedClouds
-    missing_fraction: float | None
-    #: Reason why no parameter counts as identified, and the remedy; empty if the intervals are valid.
-    doubt: str
-    #: Names of recordings that the model follows much worse than the others.
-    suspicious: tuple[str, ...]
-    n_runs: int
-    tolerance: float
-    within: float
-    loss: str
-    #: Solution about the result, for validation.
-    solution: JointSolution
-    #: Choice of the grasped particles; None for sessions and bare points.
-    grasp: GraspChoice | None = None
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Fitted values by full name, in the parameters' units."""
-        return {estimate.parameter.name: estimate.value for estimate in self.estimates}
-
-    @property
-    def unused(self) -> tuple[str, ...]:
-        """Names of recordings that have no score, because none of their clouds is used."""
-        scored = {entry.name for entry in self.motions}
-        return tuple(recording.name for recording in self.recordings if recording.name not in scored)
-
-    @property
-    def all_identified(self) -> bool:
-        """True if every parameter is identified."""
-        return all(estimate.is_identified for estimate in self.estimates)
 
 
 def fit_motions(
@@ -175,7 +90,7 @@ def fit_motions(
     try:
         centre = np.mean([recording.scene.initial_positions().mean(axis=0) for recording in recordings], axis=0)
         if recordings[0].matched:
-            first = [cloud[is_visible(cloud)] for cloud in recordings[0].clouds if is_visible(cloud).any()]
+            first = [cloud[visible_mask(cloud)] for cloud in recordings[0].clouds if visible_mask(cloud).any()]
             centre = np.median(np.concatenate(first), axis=0)
         problem = JointProblem(
             recordings=recordings,
@@ -260,7 +175,7 @@ def _fit_problem(
         raise FitError(f"the clouds have {n_coordinates} coordinates for {n_unknowns} unknowns; record more clouds")
     solution, unpredictable = solve_all(problem, point, inside, loss)
     counts = attrs.evolve(left_out, other_object=dropped, unpredictable=unpredictable)
-    return _build(problem, solution, inside, outside, counts, loss, within, n_before)
+    return build_result(problem, solution, inside, outside, counts, loss, within, n_before)
 
 
 def strongest_motions(
@@ -272,8 +187,9 @@ def strongest_motions(
     """
     strengths = {}
     for k in candidates:
-        clouds = [cloud[is_visible(cloud)].mean(axis=0) for cloud in recordings[k].clouds if is_visible(cloud).any()]
-        strengths[k] = float(np.std(np.array(clouds), axis=0).sum()) if clouds else 0.0
+        visible = [cloud[visible_mask(cloud)] for cloud in recordings[k].clouds]
+        centres = [points.mean(axis=0) for points in visible if len(points)]
+        strengths[k] = float(np.std(np.array(centres), axis=0).sum()) if centres else 0.0
     order = sorted(candidates, key=lambda k: -strengths[k])
     strong = order[: (count + 1) // 2]
     weaker = order[len(strong) :]
@@ -304,33 +220,6 @@ def _search(problem: JointProblem, inside: Sequence[int], loss: str) -> tuple[Ar
         )
         point = solution.point
     return solution.point.theta, _complete_alignment(problem, solution.point, selected, inside)
-
-
-def align_all(problem: JointProblem, point: Point, selected: Sequence[int], *, is_refined: bool = False) -> Array:
-    """Search over time offsets for the alignment that fits the motions of a point best; return its vector."""
-    eta, model = np.zeros(problem.alignment.n_unknowns), problem.alignment
-    if not len(eta):
-        return eta
-    trajectories = dict(zip(selected, point.trajectories, strict=True))
-    groups = [list(selected)] if model.is_common else [[k] for k in selected]
-    for group in groups:
-        best, _ = search_alignment(
-            [problem.recordings[k] for k in group],
-            [trajectories[k] for k in group],
-            [problem.used[k] for k in group],
-            model,
-            problem.offsets,
-            is_refined=is_refined,
-        )
-        for k in group:
-            model.write_alignment(eta, k, best)
-    return eta
-
-
-def replace_alignment(problem: JointProblem, point: Point, selected: Sequence[int], eta: Array) -> Point:
-    """Return a point with another alignment and the residuals that follow, without new simulations."""
-    residuals = [problem.residuals(k, t, eta) for k, t in zip(selected, point.trajectories, strict=True)]
-    return attrs.evolve(point, eta=eta, residuals=residuals)
 
 
 def _complete_alignment(problem: JointProblem, point: Point, selected: Sequence[int], inside: Sequence[int]) -> Array:
@@ -409,152 +298,3 @@ def solve_all(problem: JointProblem, point: Point, inside: Sequence[int], loss: 
         point = replace_alignment(problem, point, inside, point.eta)
     assert solution is not None
     return solution, unpredictable
-
-
-def _build(
-    problem: JointProblem,
-    solution: JointSolution,
-    inside: list[int],
-    outside: list[int],
-    left_out: UnusedClouds,
-    loss: str,
-    within: float,
-    n_before: int,
-) -> MotionFit:
-    recordings, point = problem.recordings, solution.point
-    has_intervals = len(inside) >= MIN_MOTIONS
-    covariance = (jackknife_covariance if has_intervals else noise_covariance)(problem, solution, inside)
-    doubt = _doubt(solution, inside)
-    estimates = [
-        _estimate(parameter, float(theta), covariance, k, within, doubt)
-        for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))
-    ]
-    floors, basis = driven_floors(problem, point, inside)
-    by_motion = dict(zip(inside, floors, strict=bool(floors)))
-    motions, etas = _score_motions(problem, solution, covariance, inside, outside, by_motion)
-    entries_without = [entry for entry in motions if entry.is_held_out]
-    typical = float(np.median([entry.model.rms for entry in motions]))
-    model, n_seen = problem.alignment, [int(is_visible(c).sum()) for k in inside for c in _used_clouds(problem, k)]
-    n_points = sum(len(c) for k in inside for c in _used_clouds(problem, k))
-    noise = solution.noise
-    smooth = float(noise.variances.sum())
-    compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
-    information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-14), dtype=np.float64)
-    return MotionFit(
-        name=", ".join(r.name for r in recordings[:3])
-        + (f" and {len(recordings) - 3} more" if len(recordings) > 3 else ""),
-        scene=recordings[0].scene,
-        recordings=tuple(recordings),
-        estimates=tuple(estimates),
-        confounded=tuple(confounded_directions(problem.parameters, information, within)),
-        covariance=covariance,
-        alignments=tuple(
-            model.alignment(etas.get(k, point.eta), k) if model.is_common or k in inside or k in etas else None
-            for k in range(len(recordings))
-        ),
-        alignment_model=model,
-        alignment_sigmas=covariance.alignment_deviations,
-        sigma=noise.sigma,
-        smooth_share=smooth / (smooth + noise.sigma**2),
-        fitted=score([np.linalg.norm(r, axis=1) for part in point.residuals for r in part]),
-        held_out=pooled_score([entry.model for entry in entries_without]),
-        rigid=score([entry.rigid.distances for entry in (entries_without or motions)]),
-        motions=tuple(motions),
-        floor=pooled_score(floors),
-        floor_basis=basis,
-        excess=excess_misfit(*zip(*compared, strict=True)) if compared else None,
-        n_clouds=sum(len(problem.used[k]) for k in inside),
-        n_recorded_clouds=sum(len(r.clouds) for r in recordings),
-        left_out=left_out,
-        missing_fraction=1.0 - sum(n_seen) / max(n_points, 1) if recordings[0].matched else None,
-        doubt=doubt,
-        suspicious=tuple(e.name for e in motions if len(motions) > 2 and e.model.rms > SUSPICIOUS_RATIO * typical),
-        n_runs=problem.pool.n_runs - n_before,
-        tolerance=TOLERANCE,
-        within=within,
-        loss=loss,
-        solution=solution,
-    )
-
-
-def _used_clouds(problem: JointProblem, index: int) -> list[NDArray[np.float64]]:
-    return [problem.recordings[index].clouds[int(k)] for k in problem.used[index]]
-
-
-def _estimate(
-    parameter: FitParameter, theta: float, covariance: Covariance, index: int, within: float, doubt: str
-) -> Estimate:
-    value = math.exp(theta)
-    is_at_limit = min(abs(value / parameter.minimum - 1.0), abs(value / parameter.maximum - 1.0)) < 1e-6
-    estimate = Estimate(
-        parameter=parameter,
-        value=value,
-        bound=float(covariance.deviations[index]),
-        is_identified=False,
-        is_at_limit=is_at_limit,
-        is_explained=not doubt,
-        freedom=None if covariance.freedoms is None else float(covariance.freedoms[index]),
-        has_interval=covariance.has_intervals,
-    )
-    is_known = covariance.has_intervals and estimate.is_within(within) and not estimate.has_few_motions
-    return attrs.evolve(estimate, is_identified=is_known and not is_at_limit and not doubt)
-
-
-def _doubt(solution: JointSolution, inside: Sequence[int]) -> str:
-    from cloth_sim_ros.fit.misfit import NOT_CONVERGED
-
-    if not solution.is_converged:
-        return NOT_CONVERGED
-    n_missed = sum(trajectory.n_missed for trajectory in solution.point.trajectories)
-    n_frames = sum(len(trajectory.frames) for trajectory in solution.point.trajectories)
-    if n_missed > 0.01 * n_frames:
-        return (
-            f"the simulation missed its tolerance of {TOLERANCE:g} m in {n_missed} of {n_frames} frames of "
-            f"{len(inside)} motions, because they exceeded the work limit. Use fewer particles, or gentler motions"
-        )
-    return ""
-
-
-def _score_motions(
-    problem: JointProblem,
-    solution: JointSolution,
-    covariance: Covariance,
-    inside: Sequence[int],
-    outside: Sequence[int],
-    floors: Mapping[int, Score],
-) -> tuple[list[MotionScore], dict[int, Array]]:
-    """Return the distances of each motion by the parameters of a fit without it, and alignments fitted for them.
-
-    The latter, and `floors`, are by index.
-    """
-    point, p = solution.point, len(problem.parameters)
-    indices = sorted([*inside, *outside])
-    unknowns = {}
-    for k in indices:
-        change = np.zeros(p + len(point.eta))
-        if k in inside and covariance.without is not None:
-            change = covariance.without[list(inside).index(k)]
-        unknowns[k] = (
-            problem.clamp(point.theta + change[:p]),
-            problem.alignment.clamp(point.eta + change[p:], problem.offsets),
-        )
-    results = problem.simulate([(k, unknowns[k][0]) for k in indices], TOLERANCE)
-    scores, aligned = [], dict[int, Array]()
-    for k, result in zip(indices, results, strict=True):
-        if isinstance(result, str) or not len(problem.used[k]):
-            continue
-        eta = unknowns[k][1]
-        if k in outside and not problem.alignment.is_common:
-            alone = attrs.evolve(point, trajectories=[result])
-            eta = aligned[k] = align_all(problem, alone, [k], is_refined=True)
-        distances = [np.linalg.norm(r, axis=1) for r in problem.residuals(k, result, eta)]
-        scores.append(
-            MotionScore(
-                name=problem.recordings[k].name,
-                model=score(distances),
-                rigid=score(rigid_distances(problem, k, result, eta)),
-                is_held_out=k in outside or (not outside and covariance.without is not None),
-                floor=floors.get(k),
-            )
-        )
-    return scores, aligned

@@ -11,7 +11,7 @@ from typing import Any
 import attrs
 
 from cloth_sim_ros.fit.files import confounded_entry, estimate_entry, finite_or_none
-from cloth_sim_ros.fit.motions import MotionFit
+from cloth_sim_ros.fit.motions_result import MotionFit
 from cloth_sim_ros.fit.scores import Score
 from cloth_sim_ros.session.output_files import atomic_write
 

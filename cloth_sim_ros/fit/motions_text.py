@@ -12,7 +12,7 @@ from cloth_sim_ros.fit.clusters import MIN_MOTIONS
 from cloth_sim_ros.fit.fit import MIN_FREEDOM
 from cloth_sim_ros.fit.grasped import describe_grasped
 from cloth_sim_ros.fit.hypotheses import GraspChoice
-from cloth_sim_ros.fit.motions import MotionFit
+from cloth_sim_ros.fit.motions_result import MotionFit
 from cloth_sim_ros.fit.scores import Score
 from cloth_sim_ros.fit.text import describe_direction, estimate_table
 from cloth_sim_ros.session.plurals import pluralize

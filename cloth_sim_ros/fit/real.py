@@ -18,7 +18,8 @@ from cloth_sim_ros.fit.hypotheses import (
     score_hypotheses,
     selections,
 )
-from cloth_sim_ros.fit.motions import MotionFit, check_options, fit_motions, strongest_motions
+from cloth_sim_ros.fit.motions import check_options, fit_motions, strongest_motions
+from cloth_sim_ros.fit.motions_result import MotionFit
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording

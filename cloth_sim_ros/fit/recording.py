@@ -193,7 +193,7 @@ def residual_offsets(recording: FitRecording) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def is_visible(cloud: Array) -> NDArray[np.bool_]:
+def visible_mask(cloud: Array) -> NDArray[np.bool_]:
     """Return a mask of the visible points of a cloud of shape (n, 3): true if finite, shape (n,)."""
     return np.asarray(np.isfinite(cloud).all(axis=1))
 

@@ -14,7 +14,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.fit.parameters import FitParameter, scene_with
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.fit.run_pool import RunPool
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -93,10 +93,10 @@ def residuals(recording: FitRecording, parameters: Sequence[FitParameter], run: 
 
         triangles = recording.scene.sheet.triangles()
         for cloud, x in zip(recording.clouds, positions, strict=False):
-            parts.append(signed_distances(cloud[is_visible(cloud)], x, triangles))
+            parts.append(signed_distances(cloud[visible_mask(cloud)], x, triangles))
     else:
         for cloud, x in zip(recording.clouds, positions, strict=False):
-            seen = is_visible(cloud)
+            seen = visible_mask(cloud)
             parts.append((cloud[seen] - x[seen]).ravel())
     r = np.concatenate(parts)
     return r - np.tile(mean_offset(r), r.size // 3) if recording.has_shift else r

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.alignment import rotation_of
 from cloth_sim_ros.fit.joint import JointProblem, Point
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.fit.trajectory import SimulatedMotion
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.events import Target
@@ -148,7 +148,7 @@ def driven_floors(problem: JointProblem, point: Point, selected: Sequence[int]) 
         chosen = distances <= reach + 1e-12
         floors = []
         for k, residuals in zip(selected, point.residuals, strict=True):
-            masks = [is_visible(problem.recordings[k].clouds[int(cloud)]) for cloud in problem.used[k]]
+            masks = [visible_mask(problem.recordings[k].clouds[int(cloud)]) for cloud in problem.used[k]]
             floors.append(
                 score([np.linalg.norm(r[chosen[seen]], axis=1) for seen, r in zip(masks, residuals, strict=True)])
             )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.parameters import FitError
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
@@ -74,7 +74,7 @@ def screen_clouds(recordings: Sequence[FitRecording]) -> ScreenedClouds:
     for recording in recordings:
         rest_shape, indices = recording.scene.sheet.positions(), list[int]()
         for k, cloud in enumerate(recording.clouds):
-            seen = is_visible(cloud)
+            seen = visible_mask(cloud)
             if not seen.any():
                 n_empty += 1
                 continue
@@ -141,7 +141,7 @@ def length_ratios(clouds: Sequence[Array], scene: Scene) -> Array:
     directions = along > _SIDEWAYS * across, across > _SIDEWAYS * along
     ratios = np.full((len(clouds), 2), np.nan)
     for ratio, cloud in zip(ratios, clouds, strict=True):
-        lengths, is_seen = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1), is_visible(cloud)[edges]
+        lengths, is_seen = np.linalg.norm(cloud[edges[:, 1]] - cloud[edges[:, 0]], axis=1), visible_mask(cloud)[edges]
         for k, chosen in enumerate(directions):
             used = chosen & is_seen.all(axis=1)
             if used.sum() >= _MIN_LENGTHS:

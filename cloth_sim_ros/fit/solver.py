@@ -159,7 +159,9 @@ def difference_steps(fisher: Array) -> Array:
 
 
 def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, tolerance: float) -> Linearization:
-    """Minimize the first clouds' residuals by Levenberg-Marquardt; return the linearization there. Raises FitError.
+    """Minimize the first clouds' residuals by Levenberg-Marquardt; return the last linearization. Raises FitError.
+
+    Its `is_converged` tells if it is the minimum: the search also ends without a lower cost, or after some iterations.
 
     Args:
         problem: the least-squares problem.

@@ -20,7 +20,7 @@ from cloth_sim_ros.fit.grasped import (
 from cloth_sim_ros.fit.motion import GripperPath, check_grippers_rest, check_rest
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recorded import MAX_DURATION, RecordedGripper, Recording
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.fit.screening import MAX_SCALE, MIN_SCALE, size_ratio
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
@@ -184,7 +184,7 @@ def hanging_state(recording: Recording, scene: Scene, selections: Sequence[Grasp
     points is replaced by the scene's initial shape.
     """
     rest_positions, cloud = scene.initial_positions(), recording.clouds[0]
-    seen = is_visible(cloud)
+    seen = visible_mask(cloud)
     is_whole = recording.matched and len(cloud) == len(rest_positions)
     poses = {selection.gripper: recording.grippers[selection.gripper].pose_at(start) for selection in selections}
     use_cloud = is_whole and bool(seen.mean() >= _MIN_VISIBLE)
@@ -227,7 +227,7 @@ def _held_shape(recording: Recording, scene: Scene, selection: GraspedParticles,
     for time, cloud in zip(recording.times, recording.clouds, strict=True):
         if float(np.abs(np.concatenate(track.pose_at(float(time))) - begin).max()) > _STILL:
             break
-        if len(cloud) == len(scene.initial_positions()) and is_visible(cloud[particles]).all():
+        if len(cloud) == len(scene.initial_positions()) and visible_mask(cloud[particles]).all():
             seen.append(cloud[particles])
     target = np.mean(seen, axis=0) if recording.matched and seen else x
     shape = scene.sheet.positions()[particles]
@@ -267,7 +267,7 @@ def _initial_state(
     """
     clouds, start = recording.clouds, float(recording.times[0])
     rest_positions, cloud = scene.initial_positions(), clouds[0]
-    seen = cloud[is_visible(cloud)]
+    seen = cloud[visible_mask(cloud)]
     if not len(seen) or (recording.matched and len(cloud) != len(rest_positions)):
         return None, []
     poses = {name: track.pose_at(start) for name, track in tracks.items()}
@@ -326,7 +326,7 @@ def _deform_sheet(rest_positions: Array, points: Array, grasped_positions: Mappi
 
 def fill_gaps(cloud: Array, triangles: NDArray[np.integer]) -> Array:
     """Return a cloud in which hidden particles lie at the mean of their neighbours (Jacobi iteration)."""
-    x, seen = cloud.copy(), is_visible(cloud)
+    x, seen = cloud.copy(), visible_mask(cloud)
     x[~seen] = cloud[seen].mean(axis=0)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)

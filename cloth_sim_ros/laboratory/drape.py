@@ -134,7 +134,7 @@ class Drape:
 
 
 def drape(sample: FabricSample, test: DrapeTest, *, seed: int = 0, start: Drape | None = None) -> Drape:
-    """Simulate a specimen that hangs over the plate until it is at rest, 30 s at most; return its drape, or raise.
+    """Simulate a specimen over the plate until it is at rest, or for 30 s; return its drape, `is_converged` or not.
 
     Args:
         sample: the fabric.

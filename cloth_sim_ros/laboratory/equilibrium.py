@@ -134,7 +134,7 @@ def _check_work(simulation: Simulation) -> None:
 
 
 def out_of_balance(plan: Plan, state: State, t: float, drag: float) -> float:
-    """Return the largest force on a particle, or drag on its velocity, over the particle's weight on Earth.
+    """Return the largest force on a particle at rest, or drag if larger, over the particle's weight on Earth.
 
     Args:
         plan: equations of motion.

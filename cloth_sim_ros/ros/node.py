@@ -241,7 +241,7 @@ class ClothNode:
         self.reporting.accuracy.before_frame()
         self.outputs.before_frame()
         first += [*self.inputs.events(stamp, last_command), *self.timing.governor.events()]
-        frame = self.stepper.advance(last_command, first, last=last)
+        frame = self.stepper.advance(last_command, first, last=last, build_reset=self.inputs.build_reset)
         if frame is None:
             return
         stamp = self.timing.publish_clock(frame, stamp)

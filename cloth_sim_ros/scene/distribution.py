@@ -13,18 +13,15 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import attrs
 
 from cloth_sim_ros.physics.arithmetic.deterministic_math import exponential, logarithm, ordered_sum
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.parameters import ros_yaml
-from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.declare import Parameter, ParameterError
 from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.scene.scene import Scene
 
 #: Largest number of parameters, and relative standard deviation of one.
 MAX_PARAMETERS, MAX_DEVIATION = 32, 2.0
@@ -36,6 +33,17 @@ _REPORTED_DIFFERENCE = 1.0
 
 class DistributionError(ParameterError):
     """Error: a distribution of parameters cannot be used; the message gives cause and remedy."""
+
+
+class VariableScene(Protocol):
+    """Protocol of a `Scene` of which some parameters vary."""
+
+    @property
+    def entries(self) -> tuple[Parameter, ...]: ...
+
+    def parameters(self) -> dict[str, Any]: ...
+
+    def changed(self, values: dict[str, Any]) -> VariableScene: ...
 
 
 @attrs.frozen(kw_only=True)
@@ -100,7 +108,7 @@ class Distribution:
             for point in points
         ]
 
-    def check(self, scene: Scene) -> None:
+    def check(self, scene: VariableScene) -> None:
         """Raise DistributionError unless each parameter is a live, nonzero float of the scene that affects the motion.
 
         Raises:
@@ -123,7 +131,7 @@ class Distribution:
                     f"'{name}' is 0 in the scene, and a relative deviation does not change it; set it, or leave it out"
                 )
 
-    def check_members(self, scene: Scene, members: int = 0, seed: int = 0) -> None:
+    def check_members(self, scene: VariableScene, members: int = 0, seed: int = 0) -> None:
         """Raise DistributionError if a parameter cannot vary in a scene, or a member's values make an invalid scene.
 
         Raises:
@@ -137,7 +145,7 @@ class Distribution:
             except ParameterError as error:
                 raise DistributionError(f"{describe_member(k, values)}: {error}; state a smaller deviation") from error
 
-    def differences(self, scene: Scene) -> list[str]:
+    def differences(self, scene: VariableScene) -> list[str]:
         """Return a sentence for each parameter whose value in a scene is over a standard deviation from the file's."""
         sentences, values = [], scene.parameters()
         for k, (name, value) in enumerate(zip(self.names, self.values, strict=True)):
@@ -153,7 +161,7 @@ class Distribution:
                 )
         return sentences
 
-    def member_values(self, scene: Scene, factors: Sequence[float]) -> dict[str, Any]:
+    def member_values(self, scene: VariableScene, factors: Sequence[float]) -> dict[str, Any]:
         """Return a scene's values of the distributed parameters by full name, times the factors of one member."""
         values = scene.parameters()
         return self.scaled({name: values[name] for name in self.names}, factors)

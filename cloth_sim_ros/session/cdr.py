@@ -123,9 +123,10 @@ def decode_string(data: bytes | memoryview) -> str:
 
 
 def decode_cloud(data: bytes | memoryview) -> Cloud:
-    """Decode a PointCloud2 into a `Cloud`, whose positions and velocities are views of `data`. Raises SessionError.
+    """Decode a PointCloud2 into a `Cloud`, whose arrays are read-only views of `data`.
 
-    Raises SessionError unless x, y, z are float32 or float64.
+    Raises:
+        SessionError: if it is cut off, or x, y, z are not evenly spaced numbers of float32 or float64.
     """
     reader = _CdrReader(data, "sensor_msgs/msg/PointCloud2")
     seconds, nanoseconds = reader.numbers("iI")

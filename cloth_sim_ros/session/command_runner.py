@@ -51,7 +51,8 @@ def _interrupt(_signal_number: int, _frame: FrameType | None) -> None:
 def interrupt_on_signal() -> Iterator[None]:
     """Context in which SIGTERM and SIGHUP interrupt as Ctrl-C does, so that the command cleans up.
 
-    A batch system or a supervisor ends commands by SIGTERM. Call from the main thread. Ignored signals stay ignored.
+    A batch system or a supervisor ends commands by SIGTERM. Call from the main thread. Only signals with
+    the default action interrupt: others keep their handlers.
     """
     signal_numbers = [signum for signum in _SIGNALS if signal.getsignal(signum) is signal.SIG_DFL]
     for signal_number in signal_numbers:

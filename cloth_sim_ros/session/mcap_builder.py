@@ -285,7 +285,10 @@ class McapBuilder:
 def pack_chunk_record(
     *, payload: bytes, compression: str, raw_size: int, crc: int, times: tuple[int, int], indexes: dict[int, list[int]]
 ) -> PackedChunk:
-    """Encode a chunk from compressed contents, with indexes: by channel, log time [ns], offset [bytes], log time ..."""
+    """Encode a chunk of compressed contents and its message indexes; the result's offsets count from its start.
+
+    `indexes`: for each channel, log time [ns] and offset in the contents [bytes] of each message, in turns.
+    """
     name = compression.encode()
     tail = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(payload))
     body = _CHUNK_HEADER.size - 9 + len(tail) + len(payload)

@@ -10,8 +10,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from cloth_sim_ros import __version__
-from cloth_sim_ros.engine import NUMERICS
+from cloth_sim_ros.engine import NUMERICS, __version__
 
 #: Metadata keys that decide about bits within one arithmetic, and their names in a reported difference.
 _REPRODUCIBILITY_KEYS = {"source": "its code"}

@@ -66,7 +66,10 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
 def apply_grasp(
     event: Grasp, state: State, scene: Scene, model: Model, grippers: Grippers, pinching: ParallelGrippers | None
 ) -> GraspResult:
-    """Close or open a gripper by an event, wake the cloth in the state if its grip changes; return the result."""
+    """Close or open a gripper by an event, and reset step control; return the result.
+
+    The cloth in the state wakes if the grip changes, and at any event of a pinching gripper.
+    """
     index = grippers.names.index(event.gripper)
     grasped_before = grippers.grasped_particles(index).size
     is_pinching = pinching is not None and event.gripper in pinching.names

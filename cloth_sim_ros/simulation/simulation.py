@@ -165,9 +165,9 @@ class Simulation(ExclusiveAccess):
 
     @exclusive
     def gaps(self) -> Array | None:
-        """Return number of touching particles and smallest gap [m] by obstacle, then pad, (count, 2); None without any.
+        """Return number of touching particles and smallest gap [m] by obstacle, then pad, (count, 2).
 
-        None without obstacles and pads.
+        None in a scene without contact; an array of no rows with self-contact alone.
         """
         contact = self.plan.contact
         return None if contact is None else contact.obstacle_gaps(self.time, self.state.x, self.state.memory)

@@ -75,7 +75,7 @@ class OutcomeRecorder:
                 self.error_estimate = (self.error_estimate or 0.0) + float(frame.advance.error)
 
     def outcomes(self) -> dict[str, float]:
-        """Return the built-in outcomes by name: present heights, extents and speeds; forces of the recorded frames."""
+        """Return the built-in outcomes by name: of present cloth, grips and ensemble, and of all recorded forces."""
         x, v = self._simulation.state.x, self._simulation.state.v
         wrenches = np.array(self._wrenches).reshape(-1, 6)
         forces, torques = wrenches[:, :3], wrenches[:, 3:]

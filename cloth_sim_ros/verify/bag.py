@@ -217,7 +217,7 @@ class _BagRun:
         self._wrench_topics: set[str] = set()
 
     def report_missing(self, damage: list[str]) -> None:
-        """Add to the verdict: damaged files, unreadable messages, and gaps between the frame records."""
+        """Set `damaged` in the verdict, and list there damaged files, unusable or missing messages, and gaps."""
         verdict = self._findings.verdict
         unreadable = (
             f"{pluralize(count, 'message')} of {reason}" for reason, count in self._content.unreadable.items()

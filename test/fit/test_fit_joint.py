@@ -5,7 +5,9 @@
 import numpy as np
 import pytest
 
-from cloth_sim_ros.fit.joint import Derivatives, missing_information, motion_weights, roughness, smooth_shares
+from cloth_sim_ros.fit.difference_steps import roughness
+from cloth_sim_ros.fit.joint import Derivatives
+from cloth_sim_ros.fit.short_waves import missing_information, motion_weights, smooth_shares
 
 STEPS = np.array([0.1, 0.4])
 

@@ -20,8 +20,9 @@ from cloth_sim_ros.fit.alignment import Alignment
 from cloth_sim_ros.fit.grasped import particles_within
 from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis, plausible_particles
 from cloth_sim_ros.fit.main import grasped_of_groups
-from cloth_sim_ros.fit.motions import MotionFit, held_out_indices
+from cloth_sim_ros.fit.motions import held_out_indices
 from cloth_sim_ros.fit.motions_files import write_json
+from cloth_sim_ros.fit.motions_result import MotionFit
 from cloth_sim_ros.fit.motions_text import describe_choice, describe_motions
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.real import fit_real

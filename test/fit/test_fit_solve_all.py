@@ -12,7 +12,8 @@ from support.motion_samples import scene_of
 
 from cloth_sim_ros.fit.alignment import FIXED, AlignmentModel
 from cloth_sim_ros.fit.difference_steps import MAX_STEP, ROUGH_STEP, DifferenceSteps
-from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point, scatter_deviations
+from cloth_sim_ros.fit.joint import Derivatives, JointProblem, Point
+from cloth_sim_ros.fit.joint_solver import JointSolution, scatter_deviations
 from cloth_sim_ros.fit.motions import solve_all
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import choose_parameters

@@ -15,6 +15,7 @@ from cloth_sim_ros.fit import joint
 from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel
 from cloth_sim_ros.fit.hypotheses import selections
 from cloth_sim_ros.fit.joint import Derivatives, JointProblem, Point
+from cloth_sim_ros.fit.joint_solver import solve_joint
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import acts_at_rest, choose_parameters
 from cloth_sim_ros.fit.start import motion_recording
@@ -80,9 +81,7 @@ def test_search_differentiates_at_each_step(
 
     monkeypatch.setattr(JointProblem, "differentiate", count)
     noise, steps = problem.white_noise(point, HUBER), np.full(len(NAMES), 0.03)
-    result = joint.solve_joint(
-        problem, point, [0], noise=noise, tolerance=1e-4, max_iterations=2, steps=steps, chord=chord
-    )
+    result = solve_joint(problem, point, [0], noise=noise, tolerance=1e-4, max_iterations=2, steps=steps, chord=chord)
     assert not np.array_equal(result.point.theta, start)
     assert np.array_equal(places[-1], start if chord else result.point.theta)
     assert len(places) == (1 if chord else 3)

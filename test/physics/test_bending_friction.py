@@ -195,7 +195,7 @@ def test_energy_balance_closes_with_friction(integrator: str) -> None:
     for frame in range(20):
         before = balance.dissipation
         method.advance(plan, state, frame / 60.0, 1.0 / 60.0, balance.accumulator)
-        residual = balance.close((frame + 1) / 60.0, state)
+        residual = balance.add_advance((frame + 1) / 60.0, state)
         plastic.append(balance.dissipation - before)
     assert state.memory[PLASTIC_LENGTHS_KEY].any()
     assert min(plastic) > 0.0

@@ -87,7 +87,7 @@ def test_impact_at_20_m_per_s_penetrates_nothing(shape, listed, tolerance):
         assert done.integrator != "implicit"
         _, gap = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x, memory=state.memory)[0]
         assert gap > 0.0
-        balance.close((k + 1) * FRAME, state)
+        balance.add_advance((k + 1) * FRAME, state)
         now = plan.energy(0.0, state.x, state.v, memory=state.memory)
         assert now <= energy * (1.0 + 2e-3)
         energy = min(energy, now)
@@ -123,7 +123,7 @@ def test_obstacle_at_10_m_per_s_penetrates_nothing(tolerance):
         integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
         gaps = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x, memory=state.memory)
         assert gaps[0, 1] > 0.0
-        residual = balance.close((k + 1) * FRAME, state)
+        residual = balance.add_advance((k + 1) * FRAME, state)
         # The recorded gap is as coarse as the steps, which without a tolerance are as long as stability allows.
         assert residual <= (1e-2 if tolerance else 3e-2) * balance.energy_turnover
     assert state.x[2].max() > 0.5

@@ -190,7 +190,7 @@ def test_friction_takes_energy_and_the_balance_closes():
     energy = plan.energy(0.0, state.x, state.v, memory=state.memory)
     for k in range(30):
         integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
-        residual = balance.close((k + 1) * FRAME, state)
+        residual = balance.add_advance((k + 1) * FRAME, state)
         now = plan.energy(0.0, state.x, state.v, memory=state.memory)
         assert now <= energy * (1.0 + 1e-6)
         assert abs(residual) < 1e-3 * balance.energy_turnover

@@ -137,7 +137,7 @@ def test_the_balance_of_energy_closes_with_a_moving_obstacle():
     balance = EnergyBalance(plan, state)
     for k in range(15):
         integrator.advance(plan, state, k / 60.0, 1.0 / 60.0, balance.accumulator)
-        residual = balance.close((k + 1) / 60.0, state)
+        residual = balance.add_advance((k + 1) / 60.0, state)
     assert balance.work > 0.01
     assert abs(residual) < 1e-3 * balance.energy_turnover
 

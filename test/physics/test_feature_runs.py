@@ -183,7 +183,7 @@ def test_energy_balance_closes_with_a_rising_turning_corner():
     balance = EnergyBalance(plan, state)
     for k in range(6):
         integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
-        residual = balance.close((k + 1) * FRAME, state)
+        residual = balance.add_advance((k + 1) * FRAME, state)
     assert balance.work > 0.01
     assert abs(residual) < 1e-3 * balance.energy_turnover
 

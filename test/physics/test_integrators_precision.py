@@ -142,7 +142,7 @@ def swing_sheet(
     for frame in range(count):
         seen.clear()
         Extrapolated(tolerance=1e-3).advance(plan, state, frame * PERIOD, PERIOD, balance.accumulator)
-        residual = max(residual, abs(balance.close((frame + 1) * PERIOD, state)))
+        residual = max(residual, abs(balance.add_advance((frame + 1) * PERIOD, state)))
         precisions_of_frames.append(list(seen))
     return residual / balance.energy_turnover, RoundingNoiseState.load(state), precisions_of_frames
 
@@ -165,7 +165,7 @@ def test_energy_of_a_falling_sheet_is_kept_at_a_loose_tolerance() -> None:
     residuals = []
     for frame in range(42):
         Extrapolated(tolerance=0.1).advance(plan, state, frame * PERIOD, PERIOD, balance.accumulator)
-        residuals.append(abs(balance.close((frame + 1) * PERIOD, state)))
+        residuals.append(abs(balance.add_advance((frame + 1) * PERIOD, state)))
     assert max(residuals) < 1e-3 * balance.energy_turnover
 
 

@@ -202,7 +202,7 @@ def test_energy_balance_includes_the_work_of_jaws():
     balance = EnergyBalance(plan, state)
     for k in range(12):
         integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
-        residual = balance.close((k + 1) * FRAME, state)
+        residual = balance.add_advance((k + 1) * FRAME, state)
     assert balance.work > 1e-5
     assert abs(residual) < 1e-3 * balance.energy_turnover
 

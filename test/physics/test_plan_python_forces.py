@@ -158,7 +158,7 @@ def test_every_integrator_closes_its_energy_balance(integrator):
         balance, open_by = EnergyBalance(plan, state), 0.0
         for frame in range(5):
             stepper.advance(plan, state, frame * PERIOD, PERIOD, balance.accumulator)
-            open_by = balance.close((frame + 1) * PERIOD, state)
+            open_by = balance.add_advance((frame + 1) * PERIOD, state)
         assert balance.dissipation > 0.0
         # Of first order, at its stability limit.
         share = 0.05 if integrator == "symplectic_euler" else 1e-3

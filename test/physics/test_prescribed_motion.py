@@ -337,7 +337,7 @@ def test_integrators_account_for_the_energy(name: str, options: dict[str, float]
     balance = EnergyBalance(sheet.plan, state)
     integrator.advance(sheet.plan, state, 0.0, FRAME, balance.accumulator)
     assert balance.accumulator.wrenches.any()
-    residual = balance.close(FRAME, state)
+    residual = balance.add_advance(FRAME, state)
     assert balance.dissipation > 1e-3
     assert abs(residual) < bound * balance.energy_turnover
 

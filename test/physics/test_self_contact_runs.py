@@ -146,7 +146,7 @@ def test_energy_balance_includes_contact_dissipation():
     balance = EnergyBalance(plan, state)
     for k in range(6):
         integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
-        residual = balance.close((k + 1) * FRAME, state)
+        residual = balance.add_advance((k + 1) * FRAME, state)
     assert residual <= 1e-3 * balance.energy_turnover
     # In addition to the threads' own damping.
     assert balance.dissipation > 0.0

@@ -131,7 +131,7 @@ def advance_with_balance(motion: Stack, frames: int) -> tuple[EnergyBalance, flo
     worst, min_loss, previous_loss = 0.0, math.inf, 0.0
     for _ in range(frames):
         motion.advance(balance.accumulator)
-        worst = max(worst, abs(balance.close(motion.frames * FRAME, motion.state)))
+        worst = max(worst, abs(balance.add_advance(motion.frames * FRAME, motion.state)))
         min_loss, previous_loss = min(min_loss, balance.friction_work - previous_loss), balance.friction_work
     return balance, worst, min_loss
 

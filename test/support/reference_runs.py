@@ -53,6 +53,6 @@ def measure(scene: Problem, known: Reference, integrator: str, tolerance: float,
         binds[done.limited_by] += 1
         integrators[done.integrator] += 1
         if balance is not None:
-            residual = max(residual, abs(balance.close((frame + 1) * PERIOD, state)))
+            residual = max(residual, abs(balance.add_advance((frame + 1) * PERIOD, state)))
     relative = residual / balance.energy_turnover if balance is not None else math.nan
     return Outcome(error, estimate, evaluations, rejected, flagged, binds, integrators, relative)

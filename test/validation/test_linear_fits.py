@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import t
 
 from cloth_sim_ros.fit.clusters import Covariance
-from cloth_sim_ros.fit.motions import TOLERANCE
+from cloth_sim_ros.fit.motions_result import TOLERANCE
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from validation.reality import swing_samples as samples

@@ -122,8 +122,8 @@ def simulate_recovery(
     h0 = float(shape.length(model)[0])
     # a quarter of the stability limit: a particle has up to four stiff springs
     step = 0.25 / math.sqrt(edge_stiffness + ratio_second + 1.0)
-    tetrahedra_damping = damping * math.sqrt(ratio_second)
-    tetrahedra = _Tetrahedra(lengths, stiffness, k_d, h0, ratio_second, tetrahedra_damping, model, len(x))
+    hinge = (h0, ratio_second, damping * math.sqrt(ratio_second))
+    tetrahedra = _Tetrahedra((lengths, stiffness, k_d), hinge, model, len(x))
     steps, rise = _come_to_rest(x, tetrahedra, step, limit)
     final_lengths = np.linalg.norm(x[:, EDGES[:, 1]] - x[:, EDGES[:, 0]], axis=2)
     final_signed_lengths = signed_lengths(_quads(len(x)), _componentwise(x), kind=model)
@@ -139,30 +139,29 @@ def simulate_recovery(
 
 
 class _Tetrahedra:
-    """Independent tetrahedra of unit masses in one model."""
+    """Independent tetrahedra of unit masses in one model.
+
+    Args:
+        edges: rest lengths [m], stiffness [N/m] and damping [N s/m] of the springs of one tetrahedron.
+        hinge: signed rest length [m], stiffness [N/m] and damping [N s/m] of its second spring.
+        kind: model of the second spring.
+        count: number of tetrahedra.
+    """
 
     def __init__(
-        self,
-        lengths: Array,
-        stiffness: Array,
-        damping: Array,
-        h0: float,
-        second: float,
-        second_damping: float,
-        kind: Literal["crossed", "altitude"],
-        count: int,
+        self, edges: tuple[Array, ...], hinge: tuple[float, ...], kind: Literal["crossed", "altitude"], count: int
     ) -> None:
-        self.lengths, self.stiffness, self.h0, self.second, self.kind = lengths, stiffness, h0, second, kind
+        (self.lengths, self.stiffness, damping), (self.h0, self.second, _), self.kind = edges, hinge, kind
         self.quads = _quads(count)
         pairs = self.quads[:, EDGES].reshape(-1, 2)
-        tiled = (np.tile(lengths, count), np.tile(stiffness * lengths, count), np.tile(damping, count))
-        edges = PairSprings(pairs, *tiled)
+        coefficients = (self.lengths, self.stiffness * self.lengths, damping)
+        springs = PairSprings(pairs, *(np.tile(coefficient, count) for coefficient in coefficients))
         hinges: HingeSprings
         if kind == "crossed":
-            hinges = CrossedSprings(self.quads[:, :2], self.quads[:, 2:], h0, second, second_damping)
+            hinges = CrossedSprings(self.quads[:, :2], self.quads[:, 2:], *hinge)
         else:
-            hinges = AltitudeSprings(self.quads, h0, second, second_damping)
-        self.plan = compile(Model(np.ones(4 * count), [edges, hinges]))
+            hinges = AltitudeSprings(self.quads, *hinge)
+        self.plan = compile(Model(np.ones(4 * count), [springs, hinges]))
 
     def energies(self, x: Array, v: Array) -> Array:
         """Return kinetic plus potential energy of each (m,) [J]; a hinge of undefined length counts 0."""
@@ -170,14 +169,12 @@ class _Tetrahedra:
         stretch = np.linalg.norm(p[:, EDGES[:, 1]] - p[:, EDGES[:, 0]], axis=2) - self.lengths
         h = signed_lengths(self.quads, x, kind=self.kind)
         hinge = np.where(np.isnan(h), 0.0, 0.5 * self.second * (h - self.h0) ** 2)
-        energy: Array = _kinetic_energies(v) + 0.5 * (self.stiffness * stretch**2).sum(axis=1) + hinge
-        return energy
+        return np.asarray(_kinetic_energies(v) + 0.5 * (self.stiffness * stretch**2).sum(axis=1) + hinge)
 
 
 def _kinetic_energies(v: Array) -> Array:
     """Return the kinetic energy of each tetrahedron of unit masses (m,) [J]."""
-    energy: Array = 0.5 * (v * v).sum(axis=0).reshape(-1, 4).sum(axis=1)
-    return energy
+    return np.asarray(0.5 * (v * v).sum(axis=0).reshape(-1, 4).sum(axis=1))
 
 
 def _quads(count: int) -> NDArray[np.int64]:

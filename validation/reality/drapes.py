@@ -21,7 +21,7 @@ from cloth_sim_ros.laboratory.drape import EDGE_LENGTH, DrapeTest
 from cloth_sim_ros.laboratory.drape_series import DrapeSeries, drape_series
 from cloth_sim_ros.laboratory.samples import read_sample
 from validation.command import above, at_least
-from validation.report import Report, Table, print_progress
+from validation.report import Report, print_progress
 
 #: The package's fabrics with measured moduli and a measured drape coefficient.
 FABRICS = ("polyester_twill", "polyester_plain", "wool_twill", "viscose_twill", "stretch_plain", "cotton_twill")
@@ -78,7 +78,8 @@ def run(options: argparse.Namespace) -> Report:
     """Drape all fabrics at all factors."""
     if len(options.factors) < 2:
         raise ValueError("--factors takes at least two")
-    test, factors, failures = DrapeTest(edge_length=options.edge_length), sorted(options.factors), list[str]()
+    report = Report("Six woven fabrics")
+    test, factors = DrapeTest(edge_length=options.edge_length), sorted(options.factors)
     real, curves, nodes, times = {}, {}, {}, []
     for fabric in FABRICS:
         stated = read_sample(fabric).fabric.drape_coefficient
@@ -95,29 +96,28 @@ def run(options: argparse.Namespace) -> Report:
             )
         curves[fabric], nodes[fabric] = [s.coefficient for s in series], [s.nodes for s in series]
     best = fitted_factor(factors, curves, real)
-    table = Table("Drape coefficient [%] by factor on bending", ["fabric", *(f"x {factor:g}" for factor in factors)])
-    table.columns += [f"x {best:.2f}", "real", "nodes", "error of the mesh"]
+    columns = [*(f"x {factor:g}" for factor in factors), f"x {best:.2f}", "real", "nodes", "error of the mesh"]
+    table = report.add_table("Drape coefficient [%] by factor on bending", ["fabric", *columns])
     for fabric in FABRICS:
         series_at_best = scaled_drapes(fabric, best, test, options.specimens, with_mesh_error=True)
         error, coefficient = series_at_best.mesh_error or 0.0, series_at_best.coefficient
         row = [*curves[fabric], coefficient, real[fabric]]
         table.rows.append([fabric, *(100.0 * value for value in row), series_at_best.nodes, 100.0 * error])
         print_progress(f"{fabric} x {best:.2f}: {100 * coefficient:.1f} %, error of the mesh {100 * error:+.1f}")
-        if abs(error) > MAX_MESH_ERROR:
-            failures.append(f"{fabric}: the mesh is in error by {100.0 * error:+.1f} points")
-    splits = Table(
-        "Errors of three fabrics [points], the factor from the others", ["fitted on", "factor", "mean", "largest"]
-    )
+        failure = f"{fabric}: the mesh is in error by {100.0 * error:+.1f} points"
+        report.require(abs(error) <= MAX_MESH_ERROR, failure)
+    columns = ["fitted on", "factor", "mean", "largest"]
+    splits = report.add_table("Errors of three fabrics [points], the factor from the others", columns)
     for known, factor, errors in split_errors(factors, curves, real):
         sizes = [100.0 * abs(error) for error in errors]
         splits.rows.append([" ".join(known), factor, statistics.fmean(sizes), max(sizes)])
     means, largest = [row[2] for row in splits.rows], [row[3] for row in splits.rows]
     if max(means) > 100.0 * MAX_MEAN_ERROR or max(largest) > 100.0 * MAX_ERROR:
-        failures.append(
+        report.fail(
             f"blind drapes are off by {statistics.fmean(means):.1f} points in the mean of all splits, {max(means):.1f} "
             f"in that of the worst, and {max(largest):.1f} at most"
         )
-    if max(times) > MAX_TIME:
-        failures.append(f"the slowest drape took {max(times):.1f} s of processor time")
+    report.require(max(times) <= MAX_TIME, f"the slowest drape took {max(times):.1f} s of processor time")
     note = f"edges of {1e3 * options.edge_length:g} mm, {options.specimens} specimens; slowest drape {max(times):.1f} s"
-    return Report("Six woven fabrics", tables=[table, splits], notes=[note], failures=failures)
+    report.note(note)
+    return report

@@ -19,14 +19,17 @@ from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel, alignment_deriva
 from cloth_sim_ros.fit.clusters import Covariance, jackknife_covariance, noise_covariance
 from cloth_sim_ros.fit.difference_steps import DifferenceSteps
 from cloth_sim_ros.fit.hypotheses import pivot_of, selections
-from cloth_sim_ros.fit.joint import Derivatives, JointProblem, JointSolution, Point, missing_information
-from cloth_sim_ros.fit.motions import MAX_LINEARIZATIONS, TOLERANCE, align_all, replace_alignment
+from cloth_sim_ros.fit.joint import Derivatives, JointProblem, Point
+from cloth_sim_ros.fit.joint_solver import JointSolution, align_all, replace_alignment
+from cloth_sim_ros.fit.motions import MAX_LINEARIZATIONS
+from cloth_sim_ros.fit.motions_result import TOLERANCE
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.recording import FitRecording, is_visible
+from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, rigid_distances, score
+from cloth_sim_ros.fit.short_waves import missing_information
 from cloth_sim_ros.fit.start import motion_recording
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -153,8 +156,8 @@ class LossyClouds:
         recordings = [samples.record_motion(k, exact[k], seed) for k in motions]
         problem = prepare(recordings, parameters, pool)
         rows = [
-            (np.rint(recording.times * samples.CLOUD_RATE).astype(np.int64), [is_visible(c) for c in recording.clouds])
-            for recording in recordings
+            (np.rint(entry.times * samples.CLOUD_RATE).astype(np.int64), [visible_mask(c) for c in entry.clouds])
+            for entry in recordings
         ]
         # Trajectories count frames from the start of the complete recordings.
         problem.recordings = [

@@ -16,7 +16,7 @@ from cloth_sim_ros.laboratory.specimens import PATTERNS
 from cloth_sim_ros.scene.fabrics import fabrics
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from validation.command import at_least
-from validation.report import Report, Table, print_progress
+from validation.report import Report, print_progress
 
 #: Lengths of the edges of drapes [m].
 EDGE_LENGTHS = (0.0075, 0.006, 0.005)
@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> Report:
     """Drape the fabrics and bend strips of them."""
     meshes = [(pattern, edge_length) for pattern in PATTERNS for edge_length in options.edge_lengths]
     columns = [f"{pattern} {1e3 * edge_length:g} mm" for pattern, edge_length in meshes]
-    drapes = Table("Drape coefficient [%] by mesh", ["fabric", *columns, "nodes", "published"])
-    strips = Table("Bending length over that of the modulus", ["fabric", "warp", "weft"])
-    failures = []
+    report = Report("Fabrics of the package")
+    drapes = report.add_table("Drape coefficient [%] by mesh", ["fabric", *columns, "nodes", "published"])
+    strips = report.add_table("Bending length over that of the modulus", ["fabric", "warp", "weft"])
     for name in options.fabrics:
         sample = read_sample(name)
         lengths = []
@@ -49,14 +49,14 @@ def run(options: argparse.Namespace) -> Report:
             lengths.append(cantilever(sample, angle, cells=CELLS).bending_length / exact)
         strips.rows.append([name, *lengths])
         if max(abs(length - 1.0) for length in lengths) > MAX_CANTILEVER_ERROR:
-            failures.append(f"{name}: bending lengths are {lengths[0]:.3f} and {lengths[1]:.3f} of the modulus's")
+            report.fail(f"{name}: bending lengths are {lengths[0]:.3f} and {lengths[1]:.3f} of the modulus's")
         coefficients, nodes, stated = [], [], sample.fabric.drape_coefficient
         for pattern, edge_length in meshes:
             test = DrapeTest(edge_length=edge_length, pattern=pattern)
             try:
                 series = drape_series(sample, test, seeds=range(options.specimens), with_mesh_error=False)
             except ParameterError as error:
-                failures.append(f"{name} on {pattern} triangles of {1e3 * edge_length:g} mm: {error}")
+                report.fail(f"{name} on {pattern} triangles of {1e3 * edge_length:g} mm: {error}")
                 coefficients.append(math.nan)
                 continue
             coefficients.append(series.coefficient)
@@ -67,8 +67,6 @@ def run(options: argparse.Namespace) -> Report:
         print_progress(f"{name}: {', '.join(f'{100.0 * value:.1f}' for value in coefficients)} %, {published}")
         drapable = [value for value in coefficients if not math.isnan(value)]
         if stated is not None and drapable and not (stated[0] <= min(drapable) and max(drapable) <= stated[1]):
-            failures.append(
-                f"{name}: drape coefficients are {100.0 * min(drapable):.1f} to {100.0 * max(drapable):.1f} %, "
-                f"published {published} %"
-            )
-    return Report("Fabrics of the package", tables=[drapes, strips], failures=failures)
+            reached = f"{100.0 * min(drapable):.1f} to {100.0 * max(drapable):.1f} %"
+            report.fail(f"{name}: drape coefficients are {reached}, published {published} %")
+    return report

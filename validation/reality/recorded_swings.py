@@ -22,7 +22,7 @@ from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel
 from cloth_sim_ros.fit.bag import read_recording
 from cloth_sim_ros.fit.hypotheses import pivot_of, selections
 from cloth_sim_ros.fit.joint import JointProblem
-from cloth_sim_ros.fit.motions import replace_alignment
+from cloth_sim_ros.fit.joint_solver import replace_alignment
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import Recording
@@ -122,10 +122,8 @@ class _Evaluation:
 
     def rigid(self) -> list[Score]:
         """Return the errors of the cloth that its corners carry rigidly, for each motion."""
-        return [
-            score(rigid_distances(self.problem, k, trajectory, self.point.eta))
-            for k, trajectory in enumerate(self.point.trajectories)
-        ]
+        point = self.point
+        return [score(rigid_distances(self.problem, k, x, point.eta)) for k, x in enumerate(point.trajectories)]
 
     def still(self) -> Score:
         """Return the errors in clouds of a cloth that is nearly at rest: those of the camera, all over the sheet."""

@@ -112,8 +112,7 @@ def _report_complete(report: Report, options: argparse.Namespace) -> None:
         errors, bounds = ([row[key] for row in rows] for key in ("error", "bound"))
         cells = [100 * largest, _rms_percent(errors), 100 * float(np.mean(bounds))]
         table.rows.append([name, len(identified), *cells, sum(row["covered"] for row in rows)])
-        if identified and largest > MAX_ERROR:
-            report.fail(f"{name} is identified with an error of {100 * largest:.1f} %")
+        report.require(not largest > MAX_ERROR, f"{name} is identified with an error of {100 * largest:.1f} %")
     fit_columns = ["fit", "seconds", "processor seconds", "simulations", "right particles", "offset s", "angle deg"]
     fit_table = report.add_table("Fits", [*fit_columns, "left out one mm", "rigid mm", "floor mm", "doubt"])
     for entry in entries:

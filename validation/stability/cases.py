@@ -49,7 +49,7 @@ class EnergyAccount:
         #: the energy turned over.
         self.gain = 0.0
 
-    def close(self, work: float = 0.0, step: float | None = None) -> None:
+    def add_frame(self, work: float = 0.0, step: float | None = None) -> None:
         """Account for a frame.
 
         With a fixed step the leapfrog conserves the modified energy E - h^2/8 v'Kv, and E itself oscillates about it.
@@ -259,7 +259,7 @@ def run_case(case: Case) -> StabilityResult:
             flagged, rejected = flagged + advance.flagged, rejected + advance.rejected
         has_fixed_step = advance is not None and advance.error is None and advance.integrator == "leapfrog"
         step = advance.step if advance is not None and has_fixed_step else None
-        account.close(parameter_work + simulation.work, step)
+        account.add_frame(parameter_work + simulation.work, step)
         x = simulation.state.x
         max_stretches = (max_stretch(spring_group.pairs, spring_group.rest_length, x) for spring_group in springs)
         strain = max(strain, *(stretch - 1.0 for stretch in max_stretches))

@@ -72,11 +72,11 @@ class CoupledWrist:
         if not is_free:
             # Taut, so that it never goes slack.
             self._grasp_point[2] -= _STRETCH
-        self._rest_force = self._settle(0.0)
+        self._rest_force = self.force_at(0.0)
 
     def force_at(self, z: float) -> float:
         """Return the change of force [N] after the wrist has moved to z [m] and rested."""
-        return self._settle(z)
+        return [self._lead(z) for _ in range(240)][-1]
 
     def is_stable(self, mass: float, damping: float, holder: float) -> bool:
         """Return True if the wrist's energy decreases after a small displacement."""
@@ -92,10 +92,6 @@ class CoupledWrist:
             energies.append(0.5 * mass * state[1] ** 2 + 0.5 * holder * state[0] ** 2)
         first, last = np.max(energies[_FRAMES // 4 : _FRAMES // 2]), np.max(energies[-_FRAMES // 4 :])
         return bool(last < first)
-
-    def _settle(self, z: float) -> float:
-        """Move the wrist to z [m], wait, and return the change of force [N]."""
-        return [self._lead(z) for _ in range(240)][-1]
 
     def _lead(self, z: float) -> float:
         """Move the wrist to z [m] within a frame; return the change of the frame's mean force [N]."""

@@ -28,19 +28,17 @@ STRETCHES, DAMPINGS = (1.0, 1.2, 1.5, 2.0, 3.0), (0.0, 0.2, 1.0)
 _STEPS, _PERTURBATION = 1500, 1e-9
 
 
-def limits() -> tuple[Table, list[str]]:
-    """Return measured limits of fixed steps at stretched states, and those that violate their bounds."""
+def limits(report: Report) -> None:
+    """Report measured limits of fixed steps at stretched states, and those that violate their bounds."""
     columns = ["stretch", "k_d0", "bound s", "found s", "found / bound"]
-    table = Table("Step limit of the leapfrog about stretched states", columns)
-    failures = []
+    table = report.add_table("Step limit of the leapfrog about stretched states", columns)
     for stretch, k_d0 in itertools.product(STRETCHES, DAMPINGS):
         plan, x = stretched_sheet(stretch, k_d0)
         bound = Leapfrog().step_limit(*plan.spectral_bounds(x))
         measured = measure_step_limit(plan, x, bound)
         table.rows.append([stretch, k_d0, bound, measured, measured / bound])
         if not 0.998 <= measured / bound <= 1.0 + LARGEST_EXCESS:
-            failures.append(f"limit at stretch {stretch}, k_d0 {k_d0}: found {measured:.3g} s, bound {bound:.3g} s")
-    return table, failures
+            report.fail(f"limit at stretch {stretch}, k_d0 {k_d0}: found {measured:.3g} s, bound {bound:.3g} s")
 
 
 def stretched_sheet(stretch: float, k_d0: float, resolution: int = 12) -> tuple[Plan, Array]:
@@ -103,16 +101,13 @@ def run(options: argparse.Namespace) -> Report:
         results = [*pool.run_missing(run_case, cases, (Case, StabilityResult))]
         _add_scan_results(report, results, len(candidates))
     if "limits" in options.parts:
-        table, failures = limits()
-        report.tables.append(table)
-        report.failures += failures
+        limits(report)
     return report
 
 
 def _add_scan_results(report: Report, results: list[CaseResult[Case, StabilityResult]], n_all_cases: int) -> None:
     report.tables += [
-        _summary(results, ("sheet", "stress_case", "stepping")),
-        _summary(results, ("stiffness", "damping")),
+        _summary(results, keys) for keys in (("sheet", "stress_case", "stepping"), ("stiffness", "damping"))
     ]
     for done in results:
         case, verdict = done.case, done.result

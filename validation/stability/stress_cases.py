@@ -8,6 +8,7 @@ Those of contact have fast obstacles, pinching, crushing and small initial gaps.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import attrs
@@ -97,12 +98,7 @@ def _inverted(rest_positions: Array, random: np.random.Generator) -> Array:
     return changed
 
 
-def _folded(rest_positions: Array, random: np.random.Generator) -> Array:
-    """Fold the lower half up by nearly 180 degrees, onto the upper one."""
-    return _fold(rest_positions, slope=0.02)
-
-
-def _fold(rest_positions: Array, *, slope: float = 0.0, gap: float = 0.0) -> Array:
+def _folded(rest_positions: Array, random: np.random.Generator, *, slope: float = 0.0, gap: float = 0.0) -> Array:
     """Mirror the lower half onto the upper one, at a distance that grows from a gap [m] at the fold by a slope."""
     changed = rest_positions.copy()
     fold_height = rest_positions[:, 2].mean()
@@ -121,12 +117,13 @@ def _grasp_corner(frame: StressFrame) -> list[Event]:
     return [Target(_GRIPPER, frame.corner), Grasp(_GRIPPER, True)]
 
 
-def _release(frame: StressFrame) -> list[Event]:
+def _pull(frame: StressFrame, *, speed: float, direction: tuple[float, ...], end: float) -> list[Event]:
+    """Pull the free corner along a direction until a time [s], and release it."""
     if frame.is_first_after(0.0):
         return _grasp_corner(frame)
-    if frame.t < 0.25:
-        return [Target(_GRIPPER, frame.corner + (frame.t + frame.period) * np.array([0.0, 0.8, 0.4]))]
-    return [Grasp(_GRIPPER, False)] if frame.is_first_after(0.25 + frame.period) else []
+    if frame.t < end:
+        return [Target(_GRIPPER, frame.corner + speed * (frame.t + frame.period) * np.array(direction))]
+    return [Grasp(_GRIPPER, False)] if frame.is_first_after(end + frame.period) else []
 
 
 def _snap(frame: StressFrame) -> list[Event]:
@@ -134,14 +131,6 @@ def _snap(frame: StressFrame) -> list[Event]:
         return _grasp_corner(frame)
     is_jump_frame = frame.is_first_after(0.1 + 2.0 * frame.period)
     return [Target(_GRIPPER, frame.corner + np.array([0.0, 0.3, 0.1]))] if is_jump_frame else []
-
-
-def _yank(frame: StressFrame) -> list[Event]:
-    if frame.is_first_after(0.0):
-        return _grasp_corner(frame)
-    if frame.t < 0.15:
-        return [Target(_GRIPPER, frame.corner + YANK_SPEED * (frame.t + frame.period) * np.array([0.0, 0.8, 0.6]))]
-    return [Grasp(_GRIPPER, False)] if frame.is_first_after(0.15 + frame.period) else []
 
 
 def _jump(frame: StressFrame) -> list[Event]:
@@ -164,19 +153,21 @@ def _parameters(frame: StressFrame) -> list[Event]:
     return [SetParameters(dict(frame.moduli))] if frame.is_first_after(0.3) else []
 
 
+#: The lower half is folded up by nearly 180 degrees.
+_FOLDED_SHUT = partial(_folded, slope=0.02)
 STRESS_CASES = {
     "hanging": StressCase(unchanged, no_events),
-    "release": StressCase(unchanged, _release),
+    "release": StressCase(unchanged, partial(_pull, speed=1.0, direction=(0.0, 0.8, 0.4), end=0.25)),
     "snap grasp": StressCase(unchanged, _snap),
-    "yanked at 10 m/s": StressCase(unchanged, _yank),
+    "yanked at 10 m/s": StressCase(unchanged, partial(_pull, speed=YANK_SPEED, direction=(0.0, 0.8, 0.6), end=0.15)),
     "zero-length springs": StressCase(unchanged, _jump, radius=WIDE_RADIUS),
-    "parameters change": StressCase(_folded, _parameters),
+    "parameters change": StressCase(_FOLDED_SHUT, _parameters),
     "stretched x 3": StressCase(_stretched, no_events),
     "crumpled": StressCase(_crumpled, no_events),
     "coincident": StressCase(_coincident, no_events),
     "half in one point": StressCase(_collapsed, no_events),
     "inverted cell": StressCase(_inverted, no_events),
-    "folded shut": StressCase(_folded, no_events),
+    "folded shut": StressCase(_FOLDED_SHUT, no_events),
 }
 
 #: Contact thickness in these cases [m]: the cells of the cloth are 0.14 m wide.
@@ -192,10 +183,6 @@ def _plate(name: str, y: float) -> dict[str, Any]:
     return {**{f"{name}.{key}": value for key, value in _PLATE.items()}, f"{name}.position": [0.0, y, 1.0]}
 
 
-def _folded_on_itself(rest_positions: Array, random: np.random.Generator) -> Array:
-    return _fold(rest_positions, gap=FOLDED_GAP * THICKNESS)
-
-
 def _drive_through(frame: StressFrame) -> list[Event]:
     return [Move("crate", (0.0, 0.8, 1.0))] if frame.is_first_after(0.05) else []
 
@@ -203,7 +190,7 @@ def _drive_through(frame: StressFrame) -> list[Event]:
 def _pinch_and_yank(frame: StressFrame) -> list[Event]:
     """Close the jaws on the free corner, and yank them away."""
     if frame.is_first_after(0.0):
-        return [Target("gripper", frame.corner), Grasp("gripper", True)]
+        return _grasp_corner(frame)
     if 0.2 <= frame.t < 0.3:
         displacement = YANK_SPEED * (frame.t - 0.2 + frame.period) * np.array([0.0, 0.8, 0.6])
         return [Target("gripper", frame.corner + displacement)]
@@ -251,5 +238,7 @@ CONTACT_STRESS_CASES = {
         no_events,
         values={**_COMMON, "obstacles": ["front"], **_plate("front", -0.05 - START_GAP * THICKNESS)},
     ),
-    "folded on itself": StressCase(_folded_on_itself, no_events, values={**_COMMON, "contact.self": True}),
+    "folded on itself": StressCase(
+        partial(_folded, gap=FOLDED_GAP * THICKNESS), no_events, values={**_COMMON, "contact.self": True}
+    ),
 }

@@ -10,6 +10,7 @@ differential evolution.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from validation.case_pool import CasePool, read_results
-from validation.report import Report, Table
+from validation.report import Report
 from validation.tolerance.climb_scenes import FAMILIES, Trial
 
 METHODS = ("hill", "evolution")
@@ -177,12 +178,8 @@ def climb_command(options: argparse.Namespace) -> Report:
 
 def _climb(options: argparse.Namespace) -> Report:
     families = options.family or list(FAMILIES)
-    cases = [
-        Climb(
-            families[index % len(families)], METHODS[index // len(families) % 2], options.seed, index, options.seconds
-        )
-        for index in range(options.climbs)
-    ]
+    turns = itertools.islice(itertools.cycle(itertools.product(METHODS, families)), options.climbs)
+    cases = [Climb(family, method, options.seed, k, options.seconds) for k, (method, family) in enumerate(turns)]
     report = Report("Search for violations of the error bound")
     results = CasePool(options.jobs, _LOAD * (options.seconds + _LAST_SCENE), options.resume).report(
         run_climb,
@@ -194,7 +191,7 @@ def _climb(options: argparse.Namespace) -> Report:
     )
     columns = ["family", "climbs", "scenes", "lowest best", "lower quartile", "median best", "upper quartile", "best"]
     columns += ["above 1", "median of windows", "flagged"]
-    summary_table = Table("Largest error ratio of each climb", columns)
+    summary_table = report.add_table("Largest error ratio of each climb", columns)
     for family in families:
         if summits := [result for climb, result in results if climb.family == family]:
             ratios = [result.ratio for result in summits]
@@ -207,15 +204,13 @@ def _climb(options: argparse.Namespace) -> Report:
                 n_scenes,
                 *np.quantile(ratios, [0.0, 0.25, 0.5, 0.75, 1.0]).tolist(),
             ]
-            row += [sum(ratio > 1.0 for ratio in ratios)]
-            row.append(float(np.median([result.median for result in summits])))
+            row += [sum(ratio > 1.0 for ratio in ratios), float(np.median([result.median for result in summits]))]
             summary_table.rows.append([*row, n_flagged / max(1, n_windows)])
     columns = ["climb", "family", "method", "ratio", "tolerance m", "g", "scenes", "unknown", "not evaluated", "what"]
-    table = Table("Scene of the largest error ratio of each climb", columns)
+    table = report.add_table("Scene of the largest error ratio of each climb", columns)
     for climb, result in sorted(results, key=lambda pair: -pair[1].ratio):
         row = [climb.index, climb.family, climb.method, result.ratio, result.tolerance, result.amplification]
         table.rows.append([*row, result.scenes, result.unknown, result.not_evaluated, result.words])
-    report.tables += [summary_table, table]
     _require(report, "climbs", [result.ratio for _, result in results])
     return report
 

@@ -133,17 +133,8 @@ def falling(rng: np.random.Generator) -> Trial:
     return _evaluate_springs(rng, {**tables, "masses": 1.0, "rest_lengths": 1.0, "stiffness": 1.0}, (), linear=True)
 
 
-def joints(rng: np.random.Generator) -> Trial:
-    """Evaluate a chain of joints (S4) at rest, with at most one joint more."""
-    return _evaluate_network(rng, is_joint=True)
-
-
-def springs(rng: np.random.Generator) -> Trial:
-    """Evaluate a chain of springs (S1) at rest, with at most one spring more."""
-    return _evaluate_network(rng, is_joint=False)
-
-
-def _evaluate_network(rng: np.random.Generator, *, is_joint: bool) -> Trial:
+def network(rng: np.random.Generator, *, is_joint: bool) -> Trial:
+    """Evaluate a chain of joints (S4) or of springs (S1) at rest, with at most one more of them."""
     count = int(rng.integers(2, 6))
     pairs = [[k, k + 1] for k in range(count - 1)]
     if count > 2 and rng.random() < 0.3:
@@ -345,7 +336,7 @@ def contact(rng: np.random.Generator) -> Trial:
     """Evaluate a small sheet that falls on an obstacle, in its first second."""
     kind, friction = str(rng.choice(_KINDS)), float(rng.choice(FRICTIONS))
     draw = draw_contact_scene(rng, kind, friction, _SIDES)
-    run = run_contact(draw, duration=1.0)
+    run = run_contact(attrs.evolve(draw, frames=round(draw.scene.rate)))
     windows, trouble = list[Window](), run.trouble
     if not trouble:
         # Perturbations are a hundred times larger.
@@ -403,8 +394,8 @@ def save_times(rng: np.random.Generator) -> Trial:
 #: Evaluation of each family by the draws of a generator, and the number of coordinates that a climb varies.
 FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
     "falling": (falling, 6),
-    "joints": (joints, 20),
-    "springs": (springs, 20),
+    "joints": (partial(network, is_joint=True), 20),
+    "springs": (partial(network, is_joint=False), 20),
     "thrown": (thrown, 8),
     "hung": (hung, 16),
     "moving": (moving, 40),

@@ -94,14 +94,9 @@ class _System(ctypes.Structure):
 class _Method(ctypes.Structure):
     _fields_ = (
         ("a", _DOUBLE * 144),
-        ("b", _DOUBLE * 12),
-        ("c", _DOUBLE * 12),
-        ("third", _DOUBLE * 12),
-        ("fifth", _DOUBLE * 12),
+        *((name, _DOUBLE * 12) for name in ("b", "c", "third", "fifth")),
         ("a_place", _DOUBLE * 144),
-        ("b_place", _DOUBLE * 12),
-        ("third_place", _DOUBLE * 12),
-        ("fifth_place", _DOUBLE * 12),
+        *((f"{name}_place", _DOUBLE * 12) for name in ("b", "third", "fifth")),
     )
 
 
@@ -226,16 +221,11 @@ class ReferenceSystem:
 
     def _set_pairs(self, lists: Sequence[PairSprings], couplings: Sequence[Couplings]) -> None:
         """Set springs and joints. A coupling is a joint, whose constant may be negative."""
-        none = np.empty(0)
-        ends, rest_length, stiffness, damping = (
-            np.concatenate([empty, *(getattr(springs, name) for springs in lists)])
-            for name, empty in (
-                ("pairs", np.empty((0, 2), dtype=np.int64)),
-                ("rest_length", none),
-                ("stiffness", none),
-                ("damping", none),
-            )
+        rest_length, stiffness, damping = (
+            np.concatenate([np.empty(0), *(getattr(springs, name) for springs in lists)])
+            for name in ("rest_length", "stiffness", "damping")
         )
+        ends = np.concatenate([np.empty((0, 2), dtype=np.int64), *(springs.pairs for springs in lists)])
         is_joint = rest_length == 0.0
         is_spring = ~is_joint
         joint_ends = np.concatenate([ends[is_joint], *(coupling.pairs for coupling in couplings)])

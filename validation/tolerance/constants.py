@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from typing import Any
+from unittest import mock
 
 import attrs
 import numpy as np
@@ -112,7 +111,7 @@ def run(options: argparse.Namespace) -> Report:
         value = float(getattr(CONSTANTS, field.name))
         row: list[object] = [field.name, value, field.metadata["meaning"]]
         for factor in (0.5, 2.0):
-            with _override(field.name, scaled_constant(field.name, factor)):
+            with mock.patch.object(CONSTANTS, field.name, scaled_constant(field.name, factor)):
                 row += _cells(scenes.effect(), baseline)
         table.rows.append(row)
     report.notes += [
@@ -142,16 +141,6 @@ def _cells(effect: ConstantsEffect, baseline: ConstantsEffect) -> list[object]:
     ratios = [new / old for new, old in zip(effect.evaluations, baseline.evaluations, strict=True)]
     work = max(ratios, key=lambda ratio: abs(math.log(ratio)))
     return [effect.error, work, effect.flagged, effect.gain, effect.awake_frames, effect.sleep_error]
-
-
-@contextmanager
-def _override(name: str, value: float) -> Iterator[None]:
-    before = getattr(CONSTANTS, name)
-    setattr(CONSTANTS, name, value)
-    try:
-        yield
-    finally:
-        setattr(CONSTANTS, name, before)
 
 
 class ConstantsScenes:

@@ -22,7 +22,14 @@ from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, ReferenceMotion, SimulatedFrame
-from validation.tolerance.random_scenes import fabric_bending, fabric_membrane, law_words, log_uniform, smooth_field
+from validation.tolerance.random_scenes import (
+    RandomScene,
+    fabric_bending,
+    fabric_membrane,
+    law_words,
+    log_uniform,
+    smooth_field,
+)
 from validation.tolerance.windows import SceneEvaluation, Window
 
 KINDS = ("table", "sphere", "edge", "itself")
@@ -40,21 +47,13 @@ _SECONDS, _WINDOW = 2.0, 1.0
 _SIDES = (6, 12)
 
 
-@attrs.frozen(eq=False, kw_only=True)
-class ContactDraw:
-    """Random contact scene."""
-
-    scene: Scene
-    state: State
-    words: str
-
-
-def draw_contact(seed: int, index: int) -> ContactDraw:
+def draw_contact(seed: int, index: int) -> RandomScene:
     """Draw the scene of an index: kind and friction cycle with the index, everything else is random."""
     kind, friction = KINDS[index % len(KINDS)], FRICTIONS[index // len(KINDS) % len(FRICTIONS)]
     rng, air, laws = (np.random.default_rng([seed, index, salt]) for salt in (14, 15, 16))
     carries_air, has_laws = bool(air.random() < 1.0 / 3.0), laws.random() < 0.5
-    return draw_contact_scene(rng, kind, friction, _SIDES, carries_air=carries_air, laws=laws if has_laws else None)
+    draw = draw_contact_scene(rng, kind, friction, _SIDES, carries_air=carries_air, laws=laws if has_laws else None)
+    return attrs.evolve(draw, seed=seed, index=index)
 
 
 def draw_contact_scene(
@@ -65,7 +64,7 @@ def draw_contact_scene(
     *,
     carries_air: bool = False,
     laws: np.random.Generator | None = None,
-) -> ContactDraw:
+) -> RandomScene:
     """Draw a scene of a kind.
 
     Args:
@@ -121,7 +120,7 @@ def draw_contact_scene(
         f"k_d0 {values['material.damping']:.2g}, {law_words(values)}, thickness {1e3 * thickness:.2g} mm, "
         f"friction {friction:g}, {scene.rate:g} Hz{', added mass' if carries_air else ''}"
     )
-    return ContactDraw(scene=scene, state=State(positions), words=words)
+    return RandomScene(scene=scene, state=State(positions), frames=round(_SECONDS * scene.rate), words=words)
 
 
 def _anchor(kind: str, friction: float) -> str:
@@ -167,19 +166,18 @@ def _folded(positions: Array, radius: float) -> Array:
 class ContactRun:
     """Frames of the engine and their step statistics."""
 
-    draw: ContactDraw
+    draw: RandomScene
     frames: list[SimulatedFrame]
     advances: list[Advance]
     seconds: list[float]
     trouble: str
 
 
-def run_contact(draw: ContactDraw, duration: float | None = None) -> ContactRun:
-    """Run a scene for a duration [s]; None for `_SECONDS`."""
-    duration = _SECONDS if duration is None else duration
+def run_contact(draw: RandomScene) -> ContactRun:
+    """Run a scene to its end."""
     simulation, capture = Simulation(draw.scene, draw.state), FrameCapture()
     run = ContactRun(draw=draw, frames=[], advances=[], seconds=[], trouble="")
-    for frame_index in range(round(duration * draw.scene.rate)):
+    for frame_index in range(draw.frames):
         before, begin = simulation.state.shallow_copy(), time.perf_counter()
         try:
             frame = simulation.advance()
@@ -231,15 +229,9 @@ def evaluate_contact(seed: int, index: int, windows: int) -> SceneEvaluation:
         except ArithmeticError as error:
             unknown.append(f"window at {first}: {error}")
     return SceneEvaluation.of(
+        draw,
         run.advances,
         run.seconds,
-        seed=seed,
-        index=index,
-        words=draw.words,
-        tolerance=draw.scene.tolerance,
-        particles=draw.state.particle_count,
-        period=draw.scene.period,
-        cost=0.0,
         windows=tuple(evaluated),
         whole=None,
         mismatch=0.0,

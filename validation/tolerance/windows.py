@@ -274,9 +274,18 @@ class SceneEvaluation:
     unknown: tuple[str, ...]
 
     @classmethod
-    def of(cls, advances: Sequence[Advance], seconds: Sequence[float], **values: Any) -> SceneEvaluation:
-        """Return an evaluation with the step statistics and wall times [s] of its frames and further values."""
+    def of(
+        cls, draw: RandomScene, advances: Sequence[Advance], seconds: Sequence[float], **values: Any
+    ) -> SceneEvaluation:
+        """Return the evaluation of a scene with the statistics and wall times [s] of its frames and further values."""
         return cls(
+            seed=draw.seed,
+            index=draw.index,
+            words=draw.words,
+            tolerance=draw.scene.tolerance,
+            particles=draw.state.particle_count,
+            period=draw.scene.period,
+            cost=draw.cost,
             frames=len(advances),
             flagged_frames=sum(advance.flagged > 0 for advance in advances),
             evaluations=sum(advance.evaluations for advance in advances),
@@ -324,15 +333,9 @@ def evaluate_scene(seed: int, index: int, windows: int) -> SceneEvaluation:
             except ReferenceFailureError as error:
                 unknown.append(f"window at {start}: {error}")
     return SceneEvaluation.of(
+        scene,
         [frame.advance for frame in run.frames],
         [frame.seconds for frame in run.frames],
-        seed=seed,
-        index=index,
-        words=scene.words,
-        tolerance=scene.scene.tolerance,
-        particles=run.system.model.particle_count,
-        period=run.period,
-        cost=scene.cost,
         windows=tuple(evaluated),
         whole=whole,
         mismatch=run.mismatch,

@@ -123,8 +123,8 @@ def _cvode(method: str, linear: str | None, tolerance: float) -> SolverSetting:
 
         plan, state = problem.build()
         right = RightSide(plan)
-        options = {"linsolver": linear} if linear else {"linsolver": "gmres"}
-        solver = CVODE(right.fill, method=method, rtol=tolerance, atol=tolerance, max_num_steps=10**7, **options)
+        options = {"rtol": tolerance, "atol": tolerance, "linsolver": "gmres", "max_num_steps": 10**7}
+        solver = CVODE(right.fill, method=method, **options)
         begin = time.perf_counter()
         solved = solver.solve(np.array([0.0, problem.duration]), right.start(state))
         seconds = time.perf_counter() - begin

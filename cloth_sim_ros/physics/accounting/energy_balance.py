@@ -10,7 +10,7 @@ from cloth_sim_ros.physics.state.state import State
 
 
 class EnergyBalance:
-    """Energy sums [J] over the advances of a motion: pass `accumulator` to each advance, then call `close`.
+    """Energy sums [J] over the advances of a motion: pass `accumulator` to each advance, then call `add_advance`.
 
     residual = E - E at the start - work - wind work - recovery work + dissipation.
 
@@ -39,7 +39,7 @@ class EnergyBalance:
         self._kinetic, potential = self._energies(t, state)
         self._start = self._kinetic + potential
 
-    def close(self, t: float, state: State) -> float:
+    def add_advance(self, t: float, state: State) -> float:
         """Add the advance in `accumulator`, ended at t [s], and reset it; return the residual energy so far [J]."""
         sums = self.accumulator
         dissipation, work, wind_work, recovery_work = sums.dissipation, sums.work, sums.wind_work, sums.recovery_work

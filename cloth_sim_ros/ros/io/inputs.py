@@ -71,7 +71,6 @@ class Inputs:
         self.parameters = LiveParameters(node, scene, self._change_parameters, self._check_parameters, failure.lock)
 
         self._log, self._failure = log, failure
-        timing.stepper.build_reset = self._build_reset
         #: Action servers of the grippers; None if no gripper has one.
         self.actions: GripperActions | None = None
         #: Servers of simulation_interfaces; None if they are not requested.
@@ -159,7 +158,7 @@ class Inputs:
         if self._robot is not None:
             self._robot.restart_time()
 
-    def _build_reset(self, scene: Scene, is_required: bool) -> Reset:
+    def build_reset(self, scene: Scene, is_required: bool) -> Reset:
         """Return a reset that starts a robot's links and followers of TF frames at their newest poses.
 
         Obstacles that joints hold to the cloth start with it, where the scene has them.

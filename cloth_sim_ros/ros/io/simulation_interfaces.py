@@ -11,7 +11,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
-from cloth_sim_ros import __version__
+from cloth_sim_ros.engine import __version__
 from cloth_sim_ros.ros.io.services import Services
 from cloth_sim_ros.ros.timing.event_queue import EventResult
 from cloth_sim_ros.simulation.events import Event, Pause, Reset, Step

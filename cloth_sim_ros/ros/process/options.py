@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 
-from cloth_sim_ros import __version__
+from cloth_sim_ros.engine import __version__
 
 
 def parser() -> argparse.ArgumentParser:

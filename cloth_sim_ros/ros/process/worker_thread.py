@@ -74,11 +74,13 @@ class WorkerThread:
 
     @property
     def is_abandoned(self) -> bool:
-        """True if a signal came before a job ended. The job goes on, and its objects must not be read."""
+        """True while a job runs: after `run` was left by a signal, it goes on, and its objects must not be read."""
         return self._running
 
     def run(self, job: Callable[[], T]) -> T:
         """Run a job in the worker thread and wait for it; return or raise what it does; StopRequestedError on a signal.
+
+        Outside the main thread, which handles signals, the job runs in the caller's thread.
 
         Raises:
             StopRequestedError: if a signal came before the job, or comes and the job does not end within 0.1 s. A job

@@ -36,8 +36,6 @@ class Stepper:
         self, simulation: Simulation, queue: EventQueue, *, run_job: Callable[[Callable[[], Any]], Any] = run_inline
     ) -> None:
         self.simulation, self.queue, self.run_job = simulation, queue, run_job
-        #: Returns a reset that starts obstacles at their present poses in a scene, and takes true if it must succeed.
-        self.build_reset: Callable[[Scene, bool], Reset] = lambda _scene, _is_required: Reset()
         #: True if a signal came before a frame ended. The frame goes on, and the cloth must not be read.
         self.aborted = False
         #: The reason if time is stopped; otherwise empty.
@@ -48,19 +46,30 @@ class Stepper:
         self._entries: list[QueuedEvent] = []
         self._results: list[tuple[QueuedEvent, EventResult]] = []
 
-    def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame | None:
+    def advance(
+        self,
+        stamp: int,
+        first: Sequence[Event] = (),
+        *,
+        last: Sequence[Event] = (),
+        build_reset: Callable[[Scene, bool], Reset] | None = None,
+    ) -> Frame | None:
         """Compute the frame due at a ROS time [ns] with its queued events; None if aborted. Instability sets `trouble`.
 
         Args:
             stamp: ROS time [ns]; events with later stamps stay in the queue.
             first: events of the node itself, applied first.
             last: events of the node itself, applied last.
+            build_reset: returns the event that replaces a queued reset, by the scene at the reset and whether it must
+                succeed; None applies resets as they are.
 
         If the motion becomes unstable, the commands take effect but no time passes. `trouble` holds the reason, and so
         does the answer to a service that requested time to pass.
         """
         self._results = []
-        self._entries = entries = self._with_poses(self.queue.pop_ready(stamp))
+        self._entries = entries = self.queue.pop_ready(stamp)
+        if build_reset is not None:
+            self._entries = entries = self._replace_resets(entries, build_reset)
         if first or last:
             before, after = ([QueuedEvent(event=event) for event in events] for events in (first, last))
             entries = [*before, *entries, *after]
@@ -115,8 +124,10 @@ class Stepper:
         self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
         self.answer()
 
-    def _with_poses(self, entries: list[QueuedEvent]) -> list[QueuedEvent]:
-        """Return queued events, each reset with the present poses of obstacles that the graph moves."""
+    def _replace_resets(
+        self, entries: list[QueuedEvent], build_reset: Callable[[Scene, bool], Reset]
+    ) -> list[QueuedEvent]:
+        """Return queued events, each reset replaced by the one for the scene at that time."""
         if not any(isinstance(entry.event, Reset) for entry in entries):
             return entries
         scene, result = self.simulation.scene, list[QueuedEvent]()
@@ -128,7 +139,7 @@ class Stepper:
                     scene = scene.changed(event.values)
             elif isinstance(event, Reset):
                 # Nobody hears that a reset of the node itself is refused.
-                event = self.build_reset(scene, entry.answer is None)
+                event = build_reset(scene, entry.answer is None)
             result.append(attrs.evolve(entry, event=event))
         return result
 

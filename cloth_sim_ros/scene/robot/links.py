@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, Self, TypeVar
 
 import attrs
 import numpy as np
@@ -22,13 +22,11 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene.parameters.declare import NAME, ParameterError
 from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
+from cloth_sim_ros.scene.physics_scene import PhysicsScene
 from cloth_sim_ros.scene.robot import collision_meshes
 from cloth_sim_ros.scene.robot.description import CollisionShape, RobotDescription, parse, transform
 from cloth_sim_ros.scene.robot.kinematics import Kinematics, poses_of, transform_of
 from cloth_sim_ros.scene.robot_section import TF, RobotParameters
-
-if TYPE_CHECKING:
-    from cloth_sim_ros.scene.scene import Scene
 
 #: End of the names of the parameters that name an obstacle's link.
 LINK_SUFFIX = ".link"
@@ -36,6 +34,27 @@ LINK_SUFFIX = ".link"
 _SWING_EXTENTS = 1.5
 #: Largest number of collision shapes.
 _MAX_SHAPES = 2000
+
+
+class RobotScene(PhysicsScene, Protocol):
+    """Protocol of a `Scene` beside a robot: the parts on which the obstacles of the links depend."""
+
+    @property
+    def robot(self) -> RobotParameters: ...
+
+    @property
+    def cameras(self) -> tuple[str, ...]: ...
+
+    @property
+    def groups(self) -> Callable[[], frozenset[str]]: ...
+
+    def anchored_particles(self) -> list[int]: ...
+
+    @classmethod
+    def from_parameters(cls, values: dict[str, Any], *, files: Mapping[str, bytes] | None = None) -> Self: ...
+
+
+S = TypeVar("S", bound=RobotScene)
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -114,7 +133,7 @@ class RobotLinks:
 
 
 def add_links(
-    scene: Scene, values: Mapping[str, Any], description: str | bytes, *, folder: str | Path = "."
+    scene: RobotScene, values: Mapping[str, Any], description: str | bytes, *, folder: str | Path = "."
 ) -> tuple[dict[str, Any], dict[str, bytes], RobotLinks]:
     """Return parameters with a robot's links as obstacles, contents of files, and `RobotLinks`; read meshes, or raise.
 
@@ -172,7 +191,7 @@ def with_poses(values: Mapping[str, Any], links: RobotLinks, poses: Array) -> di
     return placed
 
 
-def scene_with_links(scene: Scene, values: Mapping[str, Any], *, folder: str | Path = ".") -> tuple[Scene, RobotLinks]:
+def scene_with_links(scene: S, values: Mapping[str, Any], *, folder: str | Path = ".") -> tuple[S, RobotLinks]:
     """Build a scene with the links in `robot.description_file` as obstacles; read its files; return it and the links.
 
     Args:
@@ -225,7 +244,7 @@ def without_links(values: Mapping[str, Any]) -> dict[str, Any]:
     return remaining
 
 
-def _selected_links(scene: Scene, robot: RobotDescription, kinematics: Kinematics) -> tuple[list[str], list[str]]:
+def _selected_links(scene: RobotScene, robot: RobotDescription, kinematics: Kinematics) -> tuple[list[str], list[str]]:
     """Return the links whose collision shapes may become obstacles, and log sentences; raise for an invalid name."""
     with_shapes = [link for link, shapes in robot.shapes.items() if shapes]
     pads = [name for name in scene.robot.pads if name]
@@ -278,7 +297,7 @@ def _obstacles_of(
 
 
 def _within_reach(
-    scene: Scene, candidates: list[_LinkObstacle], kinematics: Kinematics, notes: list[str]
+    scene: RobotScene, candidates: list[_LinkObstacle], kinematics: Kinematics, notes: list[str]
 ) -> list[_LinkObstacle]:
     """Return the obstacles that can come within reach of the cloth; add a sentence on the others to `notes`.
 
@@ -325,7 +344,7 @@ def _file_name(name: str, used: Collection[str]) -> str:
     return file_name
 
 
-def _friction(scene: Scene, link: str) -> tuple[float, ...]:
+def _friction(scene: RobotScene, link: str) -> tuple[float, ...]:
     return scene.gripper.friction if link in scene.robot.pads else scene.robot.friction
 
 

@@ -103,7 +103,7 @@ class KinematicBodies:
         return is_still and np.array_equal(self.array("pose"), self.array("target"))
 
     def set_target(self, index: int, position: Vector, orientation: Vector | None) -> Array:
-        """Store a target position [m] and orientation (None: the present target's); return the target's pose, (7,)."""
+        """Store a target position [m] and orientation (None: the present target's); return a view of it, (7,)."""
         target = writable_copy(self._state, self._names[3])
         if orientation is None:
             # Element by element, because building an array of three numbers takes longer.
