@@ -7,10 +7,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan import compile
@@ -199,3 +201,37 @@ def test_thrown_spring_between_estimates_is_within_tolerance(
         growth = max(1.0, max(np.linalg.norm(motion - exact, axis=1).max() for motion in perturbed) / size)
         errors = exact - np.array(motions[first + 1 : first + 1 + rate])[:, :3]
         assert np.linalg.norm(errors, axis=1).max() <= tolerance * growth
+
+
+@pytest.mark.parametrize("stride", [2, 4])
+def test_gripper_jump_between_estimates_is_within_tolerance(stride: int) -> None:
+    from scipy.linalg import expm
+
+    # Found by a climb, then reduced. A swing hides the gripper from the activity: it moves within one frame and stops.
+    tolerance, rate, swing, speed = 2e-4, 40, 1.0, 8.0
+    joint, stiffness, damping, jump = 0.25, 0.25, 1.0, 0.004
+    period, grips = 1.0 / rate, Grips(1)
+    plan = compile(Model(np.ones(3), [PairSprings([[0, 1], [0, 2]], 0.0, [swing, joint]), grips], anchors=[0]))
+    state = State(np.zeros((3, 3)), np.array([np.zeros(3), [0.0, speed, 0.0], np.zeros(3)]))
+    path = np.zeros((1, PATH_NUMBERS))
+    path[0, 16] = 1.0
+    grips.set_grips(path, np.array([0, 1]), np.array([2]), np.zeros((1, 3)), np.array([stiffness]), np.array([damping]))
+    # State: the particle's position and velocity; 1, s, s^2, s^3 with the time s in the frame.
+    matrix = np.zeros((6, 6))
+    matrix[0, 1], matrix[1, :2] = 1.0, (-joint - stiffness, -damping)
+    matrix[[3, 4, 5], [2, 3, 4]] = 1.0, 2.0, 3.0
+    integrator, motion, target, error = make_integrator("auto", tolerance=tolerance, work=10.0), np.zeros(2), 0.0, 0.0
+    for frame in range(rate):
+        has_jump = frame >= 3 and (frame - 3) % stride == 0
+        cubic = jump / period**2 * np.array([3.0, -2.0 / period]) if has_jump else np.zeros(2)
+        path = path.copy()
+        path[0, 0], path[0, 1], path[0, [7, 10]] = frame * period, target, cubic
+        grips.set_paths(path)
+        assert not integrator.advance(plan, state, frame * period, period).flagged
+        position, rates = np.array([target, 0.0, *cubic]), np.array([0.0, 2.0 * cubic[0], 3.0 * cubic[1], 0.0])
+        matrix[1, 2:] = stiffness * position + damping * rates
+        motion = (expm(period * matrix) @ [*motion, 1.0, 0.0, 0.0, 0.0])[:2]
+        target += jump if has_jump else 0.0
+        error = max(error, abs(state.x[0, 2] - motion[0]))
+    # A perturbation of a damped oscillator does not grow.
+    assert error <= tolerance

@@ -455,9 +455,7 @@ class Controller:
         if contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
             # The contact is harder than in the frame of the last estimate, or the first one.
             error = math.inf
-        self._prediction = ErrorPrediction(
-            error, lower_order_error, summary.activity, contact_energy, grip_jerk_change
-        )
+        self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy, grip_jerk_change)
         return math.inf if self.estimates_error else error
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:

@@ -172,9 +172,10 @@ class ErrorRule:
             # The motion differs from the one with the last estimate, for example after an impact.
             return math.inf, math.inf
         if len(counts) == 1:
-            if jerk_change > trust_factor * memory.jerk_change:
-                if displacement_by_jerk(jerk_change, counts[0]) > CONSTANTS.error_target_fraction * self.budget * (length / memory.duration):
-                    return math.inf, math.inf
+            target = CONSTANTS.error_target_fraction * self.budget * fraction
+            is_changed = jerk_change > trust_factor * memory.jerk_change
+            if is_changed and displacement_by_jerk(jerk_change, counts[0]) > target:
+                return math.inf, math.inf
             scale = memory.safety_factor * step * step / memory.coefficient
             by_grips = displacement_by_jerk(max(0.0, grip_jerk_change - memory.grip_jerk_change), counts[0])
             return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction + by_grips, 0.0
