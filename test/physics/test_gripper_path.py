@@ -8,9 +8,11 @@ from scipy.spatial.transform import Rotation
 from support import laws
 from support.alone import alone, force
 
-from cloth_sim_ros.engine.binding import check, library
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, check, library
 from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.gripper_path import normalized, plan_paths, rotation_matrix, rotation_vector
+from cloth_sim_ros.physics.plan.plan import Plan, compile
 
 T = 1 / 60
 
@@ -123,6 +125,60 @@ def test_grip_work_is_stored_energy_plus_dissipation(seed):
     points = offsets @ at(path, t)[2].T
     assert booked[0, :3] == pytest.approx(-f.sum(axis=1))
     assert booked[0, 3:6] == pytest.approx(np.cross(points, -f[:, [1, 2]].T).sum(axis=0))
+
+
+def jerk_change(plan: Plan, start: float, x: np.ndarray) -> float:
+    """Largest change of a particle's jerk over a frame from a start [s], with particles at rest, times T^2/8 [m/s]."""
+    h, zeros = 1e-5, np.zeros_like(x)
+
+    def jerk(t: float) -> np.ndarray:
+        forces = [force(plan, x, zeros, t + step) for step in (h, -h)]
+        return (forces[0] - forces[1]) / (2 * h) * plan.model.inverse_masses
+
+    return float(np.linalg.norm(jerk(start + T) - jerk(start), axis=0).max() * T * T / 8.0)
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_jerk_change_by_a_path_fits_its_derivative(turns):
+    rng = np.random.default_rng(4)
+    path = np.zeros((2, PATH_NUMBERS))
+    path[:, 0], path[:, 16] = 0.1, 1.0
+    # By a small turn about z, which moves the grasped points across their distance from the origin.
+    direction = np.array([0.0, 0.0, 1.0]) if turns else rng.standard_normal(3)
+    for first, size in zip((17, 20, 23) if turns else (4, 7, 10), (1e-3, -3e-2, 2.0), strict=True):
+        path[0, first : first + 3] = size * direction
+    held, x = Grips(2), np.zeros((3, 4))
+    points = np.array([[0.3, 0.4, 0.0], [0.1, -0.2, 0.0]])
+    grips = np.array([0, 2, 2]), np.array([1, 3]), points, np.array([40.0, 5.0]), np.array([3.0, 1.0])
+    held.set_grips(path, *grips)
+    plan = compile(Model(np.array([1.0, 2.0, 1.0, 4.0]), [held], anchors=[0]))
+    # The interval starts after the path.
+    expected = jerk_change(plan, 0.105, x)
+    assert plan.grip_jerk_change(0.105, T, (0.0, 0.0), 0.5) == pytest.approx(expected, rel=1e-3)
+    # Two grippers at one particle.
+    held.set_grips(path[[0, 0]], np.array([0, 2, 3]), np.array([1, 3, 1]), points[[0, 1, 0]], *np.ones((2, 3)))
+    expected = jerk_change(plan, 0.105, x)
+    assert plan.grip_jerk_change(0.105, T, (0.0, 0.0), 0.5) == pytest.approx(expected, rel=1e-3)
+    # Of an anchored particle, or of none, there is none.
+    held.set_grips(path, np.array([0, 1, 1]), np.array([0]), points[:1], np.ones(1), np.ones(1))
+    assert plan.grip_jerk_change(0.105, T, (0.0, 0.0), 0.5) == 0.0
+    held.set_grips(path, np.zeros(3, dtype=int), np.empty(0, dtype=int), points[:0], np.empty(0), np.empty(0))
+    assert plan.grip_jerk_change(0.105, T, (0.0, 0.0), 0.5) == 0.0
+
+
+def test_jerk_change_by_a_prescribed_path_is_of_the_sheet():
+    path = np.zeros((1, PATH_NUMBERS))
+    path[0, 16], path[0, 10] = 1.0, 2.0
+    held = Grips(1)
+    plan = alone(held, count=2)
+    held.set_grips(
+        path, np.array([0, 1]), np.array([1]), np.zeros((1, 3)), np.full(1, 9.0), np.ones(1), np.array([True])
+    )
+    omega2, damping, time = 400.0, 30.0, 0.5
+    # Velocity and acceleration change by 3 d T^2 and 6 d T; waves of w keep an error of velocity for 1/w only.
+    fraction = 1.0 / (time * np.sqrt(omega2 + 1.0 / time**2))
+    expected = T**2 / 8.0 * fraction * (omega2 * 6.0 * T**2 + damping * 12.0 * T)
+    assert plan.grip_jerk_change(0.0, T, (omega2, damping), time) == pytest.approx(expected)
 
 
 def test_grips_of_one_particle_add_up_in_any_order():

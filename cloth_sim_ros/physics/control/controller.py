@@ -65,10 +65,10 @@ _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
     "_allowed _applied_refinement _attempts _before _known_contact_energy _duration _elapsed _ends _error "
-    "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_touch _may_turn "
-    "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
-    "_stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error "
-    "exhausted in_fallback limit n_runs options refinement rejected work __dict__"
+    "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_jump "
+    "_may_touch _may_turn _met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio "
+    "_rejected_attempt _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget "
+    "estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
 )
 
 
@@ -99,6 +99,8 @@ class Controller:
         self.in_fallback = self.exhausted = False
         #: True if a spring may turn over within the present piece.
         self._may_turn = False
+        #: True if a force of friction may jump within the present piece, by more than its error budget allows.
+        self._may_jump = False
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
@@ -443,21 +445,24 @@ class Controller:
         has_grips = (n_runs == 1 or self.estimates_error) and self._plan.gripper_count > 0
         path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
         grip_jerk_change = self._plan.grip_jerk_change(*path) if has_grips else 0.0
+        contact = self._plan.contact
+        has_friction = contact is not None and self._may_touch and contact.force.has_anchors
+        jump = tableau.jerk_change, tableau.counts[0], piece.length
+        self._may_jump = has_friction and not self.in_fallback and self._error.jump_displaces(*jump)
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],
             piece.length,
             tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0),
             max(summary.activity, summary.change_from_before),
-            tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
+            tableau.jerk_change if self._may_jump or summary.turn > CONSTANTS.smooth_turn else 0.0,
             grip_jerk_change,
+            may_jump=self._may_jump,
         )
         _, contact_energy, _ = tableau.contact_summary(n_runs)
         if contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
             # The contact is harder than in the frame of the last estimate, or the first one.
             error = math.inf
-        self._prediction = ErrorPrediction(
-            error, lower_order_error, summary.activity, contact_energy, grip_jerk_change
-        )
+        self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy, grip_jerk_change)
         return math.inf if self.estimates_error else error
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
@@ -504,7 +509,7 @@ class Controller:
                 estimate.replace(n_runs, measure(n_runs))
                 estimate.confirm(floor, measure)
             self.n_runs = n_runs
-        if self._is_rough:
+        if self._is_rough or self._may_jump:
             estimate.end_error = self._estimate_ends(tableau, t, piece)
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.engine import binding
 from cloth_sim_ros.engine.binding import address, check, float64_address, library, writable_address
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
@@ -51,8 +52,9 @@ class GripBinding(Uncopyable):
         #: Number of grippers.
         self.count = grips.gripper_count
         self._paths_shape = (self.count, binding.PATH_NUMBERS)
-        #: Grasps, and the strongest grip of each gripper that grasps a free particle, see `_strongest_grips`.
-        self._known_grips: tuple[Grasps | None, list[_StrongestGrip]] = (None, [])
+        #: Grasps, the strongest grip of each gripper that grasps a free particle, and true if several grippers grasp
+        #: one, see `_strongest_grips`.
+        self._known_grips: tuple[Grasps | None, list[_StrongestGrip], bool] = (None, [], False)
 
     def upload(self) -> None:
         """Upload grasped particles and paths of grippers to the engine if they changed; refuse invalid ones."""
@@ -117,8 +119,9 @@ class GripBinding(Uncopyable):
         """Return the largest change of a particle's jerk by its gripper's path over an interval, times T^2/8 [m/s].
 
         The jerk by a spring changes by (k dV + k_d dA)/m with the changes dV and dA of the point's velocity and
-        acceleration. A prescribed particle acts through the sheet's springs, whose waves keep an error of velocity for
-        1/w only (docs/derivations/time_stepping.md#change-of-jerk).
+        acceleration. If several grippers grasp one particle, their changes add up. A prescribed particle acts through
+        the sheet's springs, whose waves keep an error of velocity for 1/w only
+        (docs/derivations/time_stepping.md#change-of-jerk).
 
         Args:
             t: start of the interval [s].
@@ -127,8 +130,9 @@ class GripBinding(Uncopyable):
             rates: bounds of the sheet's squared frequency w^2 [1/s^2] and damping rate [1/s].
             error_time: time within which an error of velocity displaces [s].
         """
-        largest, paths = 0.0, self.force.controls.paths
-        for gripper, stiffness, damping, reach, is_prescribed in self._strongest_grips(inverse_masses):
+        changes, paths = [0.0], self.force.controls.paths
+        grips, are_shared = self._strongest_grips(inverse_masses)
+        for gripper, stiffness, damping, reach, is_prescribed in grips:
             path = paths[gripper].tolist()
             middle = 2.0 * (t - path[0]) + duration
             velocity_change = acceleration_change = 0.0
@@ -141,25 +145,28 @@ class GripBinding(Uncopyable):
             if is_prescribed:
                 scale = 1.0 / math.sqrt(rates[0] * error_time * error_time + 1.0)
                 stiffness, damping = max(stiffness, rates[0] * scale), max(damping, rates[1] * scale)
-            largest = max(largest, stiffness * velocity_change + damping * acceleration_change)
-        return 0.125 * duration * duration * duration * largest
+            changes.append(stiffness * velocity_change + damping * acceleration_change)
+        return 0.125 * duration * duration * duration * (ordered_sum(changes) if are_shared else max(changes))
 
-    def _strongest_grips(self, inverse_masses: Array) -> list[_StrongestGrip]:
-        """Return the strongest grip of each gripper that grasps particles; cached while the grasps stay."""
-        grasps, strongest = self.force.controls.grasps, list[_StrongestGrip]()
+    def _strongest_grips(self, inverse_masses: Array) -> tuple[list[_StrongestGrip], bool]:
+        """Return the strongest grip of each gripper that grasps a free particle, and true if two grasp the same one.
+
+        They are cached while the grasps stay.
+        """
+        grasps = self.force.controls.grasps
         if grasps is not self._known_grips[0]:
-            for gripper in range(self.count if len(grasps.particles) else 0):
+            particles, _, offsets, stiffness, damping, prescribed = grasps.validated(self.count, self._shape[1])
+            strongest = list[_StrongestGrip]()
+            for gripper in range(self.count if len(particles) else 0):
                 grips = slice(grasps.starts[gripper], grasps.starts[gripper + 1])
-                inverse = inverse_masses[grasps.particles[grips]]
+                inverse, points = inverse_masses[particles[grips]], np.ascontiguousarray(offsets[grips].T)
                 if not inverse.any():
                     continue
-                is_prescribed = grasps.prescribed is not None and bool(grasps.prescribed[grips].any())
-                largest = (float((grasps.stiffness[grips] * inverse).max()), float((grasps.damping[grips] * inverse).max()))
-                points = np.ascontiguousarray(grasps.offsets[grips].T)
+                largest = float((stiffness[grips] * inverse).max()), float((damping[grips] * inverse).max())
                 reach = largest_distance(points, np.zeros_like(points))
-                strongest.append(_StrongestGrip(gripper, *largest, reach, is_prescribed))
-            self._known_grips = grasps, strongest
-        return self._known_grips[1]
+                strongest.append(_StrongestGrip(gripper, *largest, reach, bool(prescribed[grips].any())))
+            self._known_grips = grasps, strongest, len(np.unique(particles)) < len(particles)
+        return self._known_grips[1:]
 
     def min_damping_time(self) -> float:
         """Return the least ratio of damping to stiffness, c / k [s], of the grips; infinity if there are none."""
