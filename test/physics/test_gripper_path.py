@@ -9,10 +9,12 @@ from support import laws
 from support.alone import alone, force
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, check, library
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.gripper_path import normalized, plan_paths, rotation_matrix, rotation_vector
 from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.state.state import State
 
 T = 1 / 60
 
@@ -164,6 +166,30 @@ def test_jerk_change_by_a_path_fits_its_derivative(turns):
     assert plan.grip_jerk_change(0.105, T, (0.0, 0.0), 0.5) == 0.0
     held.set_grips(path, np.zeros(3, dtype=int), np.empty(0, dtype=int), points[:0], np.empty(0), np.empty(0))
     assert plan.grip_jerk_change(0.105, T, (0.0, 0.0), 0.5) == 0.0
+
+
+@pytest.mark.parametrize("damping_ratio", [0.0, 0.1, 2.0])
+@pytest.mark.parametrize("omega", [3.0, 30.0, 120.0, 1000.0, 5000.0])
+def test_jerk_change_bounds_the_velocity_error_of_a_run(omega, damping_ratio):
+    rng = np.random.default_rng(7)
+    held = Grips(1)
+    plan = alone(held, count=1)
+    steps = max(4, int(1.5 * T * omega * (1.0 + 2.0 * damping_ratio)))
+    for _ in range(6):
+        path = np.zeros((1, PATH_NUMBERS))
+        path[0, 16] = 1.0
+        path[0, 7:13] = rng.standard_normal(6) * np.repeat([1.0, rng.choice([0.1, 1.0, 10.0]) / T], 3)
+        grips = np.array([0, 1]), np.array([0]), np.zeros((1, 3))
+        held.set_grips(path, *grips, np.full(1, omega**2), np.full(1, 2.0 * damping_ratio * omega))
+        ends = [
+            ExtrapolationTableau(plan, State(np.zeros((1, 3))), 0.0, T, (count,)).combine(1)[1]
+            for count in (steps, 64 * steps)
+        ]
+        error = np.linalg.norm(ends[0] - ends[1])
+        allowed = plan.grip_jerk_change(0.0, T, (0.0, 0.0), 0.5) / (3.0 * steps**2)
+        assert error <= 1.1 * allowed
+        # A slow wave shows all of it.
+        assert error >= 0.3 * allowed or omega * T > 0.1
 
 
 def test_jerk_change_by_a_prescribed_path_is_of_the_sheet():

@@ -59,7 +59,7 @@ class FrameTotals:
     longest_step, longest_runs = 0.0, 1
     #: Sum of predicted errors [m]; largest activity and largest changes of jerk, also by grippers, of a piece [m/s].
     predicted_error, activity, jerk_change, grip_jerk_change = 0.0, 0.0, 0.0, 0.0
-    #: False while pieces are accepted by predictions. Each has an estimate then; False if a piece has another refinement,
+    #: False while pieces are accepted by predictions. Each has an estimate then; False if a piece has other refinement,
     #: which makes the sums of estimates useless. The refinement.
     has_estimates, is_uniform, refinement = False, True, 1.0
     #: Step counts of the runs, and length [s], of the piece with the shortest steps.

@@ -34,6 +34,23 @@ class _StrongestGrip(NamedTuple):
     is_prescribed: bool
 
 
+def _jerk_change(omega2: float, damping: float, acceleration: float, jerk: float, duration: float) -> float:
+    """Return how much of the change of jerk by a path an error of velocity shows at the end of an interval [m/s^3].
+
+    Args:
+        omega2: squared frequency of the spring to the path [1/s^2].
+        damping: its damping rate [1/s].
+        acceleration: mean acceleration of the path [m/s^2].
+        jerk: of the path, which is constant [m/s^3].
+        duration: of the interval [s].
+    """
+    change = duration * (omega2 * acceleration + damping * jerk)
+    if not omega2:
+        return change
+    # A fast wave forgets all but the last part.
+    return min(change, 3.0 * (omega2 * (acceleration + 0.5 * duration * jerk) + damping * jerk) / math.sqrt(omega2))
+
+
 class GripBinding(Uncopyable):
     """Engine binding of a plan's grips: uploads grasped particles and paths, evaluates wrenches.
 
@@ -119,8 +136,8 @@ class GripBinding(Uncopyable):
         """Return the largest change of a particle's jerk by its gripper's path over an interval, times T^2/8 [m/s].
 
         The jerk by a spring changes by (k dV + k_d dA)/m with the changes dV and dA of the point's velocity and
-        acceleration. If several grippers grasp one particle, their changes add up. A prescribed particle acts through
-        the sheet's springs, whose waves keep an error of velocity for 1/w only
+        acceleration. A fast spring shows less of it. If several grippers grasp one particle, their changes add up. A
+        prescribed particle acts through the sheet's springs, whose waves keep an error of velocity for 1/w only
         (docs/derivations/time_stepping.md#change-of-jerk).
 
         Args:
@@ -134,19 +151,19 @@ class GripBinding(Uncopyable):
         grips, are_shared = self._strongest_grips(inverse_masses)
         for gripper, stiffness, damping, reach, is_prescribed in grips:
             path = paths[gripper].tolist()
-            middle = 2.0 * (t - path[0]) + duration
-            velocity_change = acceleration_change = 0.0
-            for first, scale in ((7, 1.0), (20, reach)):
+            middle = 3.0 * (t - path[0] + 0.5 * duration)
+            acceleration = jerk = 0.0
+            for first, scale in ((7, 2.0), (20, 2.0 * reach)):
                 a, b, c, d, e, f = path[first : first + 6]
-                turn = 3.0 * middle
-                x, y, z = 2.0 * a + turn * d, 2.0 * b + turn * e, 2.0 * c + turn * f
-                velocity_change += scale * math.sqrt(x * x + y * y + z * z)
-                acceleration_change += scale * 6.0 * math.sqrt(d * d + e * e + f * f)
+                x, y, z = a + middle * d, b + middle * e, c + middle * f
+                acceleration += scale * math.sqrt(x * x + y * y + z * z)
+                jerk += scale * 3.0 * math.sqrt(d * d + e * e + f * f)
+            change = _jerk_change(stiffness, damping, acceleration, jerk, duration)
             if is_prescribed:
-                scale = 1.0 / math.sqrt(rates[0] * error_time * error_time + 1.0)
-                stiffness, damping = max(stiffness, rates[0] * scale), max(damping, rates[1] * scale)
-            changes.append(stiffness * velocity_change + damping * acceleration_change)
-        return 0.125 * duration * duration * duration * (ordered_sum(changes) if are_shared else max(changes))
+                fraction = 1.0 / math.sqrt(rates[0] * error_time * error_time + 1.0)
+                change = max(change, fraction * _jerk_change(*rates, acceleration, jerk, duration))
+            changes.append(change)
+        return 0.125 * duration * duration * (ordered_sum(changes) if are_shared else max(changes))
 
     def _strongest_grips(self, inverse_masses: Array) -> tuple[list[_StrongestGrip], bool]:
         """Return the strongest grip of each gripper that grasps a free particle, and true if two grasp the same one.
