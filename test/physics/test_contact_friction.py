@@ -265,3 +265,28 @@ def test_coming_to_rest_does_not_shorten_steps():
     steps = [integrator.advance(plan, state, k * FRAME, FRAME).steps for k in range(16)]
     assert np.abs(state.v).max() < 1e-2
     assert max(steps) < 2 * min(steps)
+
+
+@every_shape
+def test_friction_changes_of_anchors_that_slid_alone(shape):
+    contact_force, plan, _, x, _, anchors = about(shape, seed=5)
+    path, rng = contact_force.paths[0], np.random.default_rng(6)
+    (position, _, rotation, _), (later_position, _, later_rotation, _) = (
+        laws.pose(path, t) for t in (0.3, 0.3 + FRAME)
+    )
+    local = rotation.T @ (x - position[:, None])
+    # The particles move with the obstacle. Half of the anchors slide.
+    ends = anchors.copy()
+    ends[0, :3, ::2] += 1e-6 * rng.standard_normal((3, COUNT // 2))
+    ends[0, 3] = rng.integers(0, 3, COUNT)
+    memory = {ANCHORS_KEY: anchors}
+    positions = x, later_position[:, None] + later_rotation @ local
+    changes = plan.contact.friction_change(0.3, FRAME, positions, ends, memory)
+    expected = np.zeros_like(x)
+    for i in np.flatnonzero((anchors[0, 3] > 0.0) & (ends[0, 3] > 0.0)):
+        _, normals = contact_force.obstacles[0].distance(local[None, :, i])
+        moved = ends[0, :3, i] - anchors[0, :3, i]
+        expected[:, i] = 2000.0**2 * later_rotation @ (moved - (moved @ normals[0]) * normals[0])
+    assert np.count_nonzero(expected.any(axis=0)) > 3
+    assert changes == pytest.approx(expected, rel=1e-6, abs=1e-6)
+    assert not changes[:, 1::2].any()

@@ -282,23 +282,6 @@ def test_doubled_jerk_change_is_predicted_if_it_displaces_little() -> None:
     assert predict(2.1e-6, 0.0) < math.inf
 
 
-@pytest.mark.parametrize("counts", [(10,), (10, 13)])
-def test_friction_that_may_jump_is_not_predicted(counts: tuple[int, ...]) -> None:
-    _, state = critical()
-    jerk_change = 4e-5  # the displacement of a jump is 0.5 s * 4e-5 m/s / 10 = 2e-6 m
-    memory = ErrorState(n_runs=len(counts), error=1e-12, activity=1.0, step=1e-3, coefficient=1e-6, duration=0.01)
-    memory = attrs.evolve(memory, lower_order_error=1e-12, lower_order_coefficient=1e-6)
-
-    def predict(budget: float, earlier: float) -> float:
-        rule = ErrorRule(attrs.evolve(memory, jerk_change=earlier), budget, 4, state)
-        may_jump = rule.jump_displaces(jerk_change, counts[0], 0.01)
-        return rule.predict(counts, 0.01, (0.0, 0.0), 1.0, jerk_change, may_jump=may_jump)[0]
-
-    assert predict(3.9e-6, 0.4 * jerk_change) == math.inf
-    assert predict(3.9e-6, 0.6 * jerk_change) < math.inf
-    assert predict(4.1e-6, 0.0) < math.inf
-
-
 def test_work_of_collapsed_hinges_stays_limited_after_a_fallback() -> None:
     # A shared edge of crossed springs shrinks in an impact, and its stiffness grows without bound. The frame after the
     # fallback took its short steps for the longest stable ones: its limit grew with them.

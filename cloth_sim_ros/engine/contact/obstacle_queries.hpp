@@ -246,6 +246,38 @@ void add_contact_wrenches(const Plan& plan, double t, const double* x, const dou
     });
 }
 
+void friction_change(const Plan& plan, double t, double duration, const double* x0, const double* x1,
+                     const double* ends, double* out) {
+    const Contacts& contacts = plan.contacts;
+    const std::int64_t n = plan.count;
+    const double stiffness = contacts.frequency * contacts.frequency;
+    Array<double> starts(3 * n * contacts.count());
+    std::fill(out, out + 3 * n, 0.0);
+    const auto for_each_slid = [&](double time, const double* x, const double* anchors, auto&& visit) {
+        for_each_contact(plan, time, x, nullptr, [&](const ObstacleContact& contact) {
+            const std::int64_t at = contact.obstacle * anchor_numbers * n + contact.particle;
+            const double *const a = contacts.anchors.data() + at, *const b = ends + at, *const c = anchors + at;
+            const bool slid = a[0] != b[0] || a[n] != b[n] || a[2 * n] != b[2 * n];
+            if (!slid || !(a[3 * n] > 0.0) || !(b[3 * n] > 0.0)) return;
+            const auto& posed = contact.posed;
+            const Vec3<double> offset = posed.outward(posed.inward(contact.arm) - Vec3<double>{c[0], c[n], c[2 * n]});
+            visit(posed, starts.data() + 3 * n * contact.obstacle + contact.particle, contact.particle,
+                  offset - dot(offset, contact.normal) * contact.normal);
+        });
+    };
+    for_each_slid(t, x0, contacts.anchors.data(),
+                  [&](const auto& posed, double* start, std::int64_t, const Vec3<double>& stretch) {
+                      const Vec3<double> local = posed.inward(stretch);
+                      start[0] = local.x, start[n] = local.y, start[2 * n] = local.z;
+                  });
+    for_each_slid(t + duration, x1, ends,
+                  [&](const auto& posed, const double* start, std::int64_t i, const Vec3<double>& stretch) {
+                      const Vec3<double> before = posed.outward(Vec3<double>{start[0], start[n], start[2 * n]});
+                      const Vec3<double> change = stiffness * (before - stretch);
+                      out[i] += change.x, out[n + i] += change.y, out[2 * n + i] += change.z;
+                  });
+}
+
 /// Power of contacts that recover their thickness [W].
 double contact_growth_power(const Plan& plan, double t, const double* x, const double* v) {
     const auto law = plan.contacts.law<double>();

@@ -238,6 +238,25 @@ class ContactBinding(Uncopyable):
             ends[ANCHORS_KEY] = self.combine_anchors(t, x, v, anchors, weights, {**memory, **ends})
         return ends
 
+    def friction_change(
+        self, t: float, duration: float, positions: tuple[Array, Array], ends: Array, memory: StateMemory
+    ) -> Array:
+        """Return changes of friction with obstacles, per mass [m/s^2], (3, n), of particles that slide in an interval.
+
+        Args:
+            t: start of the interval [s].
+            duration: its length [s].
+            positions: at its start and at its end [m], shape (3, n) each.
+            ends: friction anchors at its end.
+            memory: of the state at its start.
+        """
+        self.upload(memory)
+        out = np.empty(self._shape)
+        arrays = [float64_address("x", x, self._shape) for x in positions]
+        anchors = float64_address("anchors", ends, self.anchors_shape)
+        check(self._library.cloth_friction_change(self._handle, t, duration, *arrays, anchors, address(out)))
+        return out
+
     def friction_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
         """Return the power [W] that friction between layers of the cloth dissipates at time t [s]; 0 without it."""
         if not self.force.has_self_friction:

@@ -23,7 +23,10 @@ from __future__ import annotations
 import math
 from functools import cached_property, partial
 
+import numpy as np
+
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
@@ -445,25 +448,39 @@ class Controller:
         has_grips = (n_runs == 1 or self.estimates_error) and self._plan.gripper_count > 0
         path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
         grip_jerk_change = self._plan.grip_jerk_change(*path) if has_grips else 0.0
-        contact = self._plan.contact
-        has_friction = contact is not None and self._may_touch and contact.force.has_anchors
-        jump = tableau.jerk_change, tableau.counts[0], piece.length
-        self._may_jump = has_friction and not self.in_fallback and self._error.jump_displaces(*jump)
+        self._may_jump = self._may_touch and not self.in_fallback and self._friction_displaces(tableau, piece)
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],
             piece.length,
             tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0),
             max(summary.activity, summary.change_from_before),
-            tableau.jerk_change if self._may_jump or summary.turn > CONSTANTS.smooth_turn else 0.0,
+            tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
             grip_jerk_change,
-            may_jump=self._may_jump,
         )
         _, contact_energy, _ = tableau.contact_summary(n_runs)
-        if contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
-            # The contact is harder than in the frame of the last estimate, or the first one.
+        if self._may_jump or contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
+            # Friction may turn round. Or the contact is harder than in the frame of the last estimate, or the first.
             error = math.inf
         self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy, grip_jerk_change)
         return math.inf if self.estimates_error else error
+
+    def _friction_displaces(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
+        """Return True if friction that turns round within a step may displace by more than a piece's target error.
+
+        A jump of a force per mass by a causes a velocity error of up to a h/4 with the step h, because no step meets
+        its time. Springs hold a particle that turns alone.
+        """
+        change = tableau.friction_change(self.n_runs)
+        if change is None:
+            return False
+        target = CONSTANTS.error_target_fraction * self.budget * (piece.length / self._duration)
+        change *= 0.25 * piece.step
+        if VELOCITY_ERROR_TIME * largest_distance(change, np.zeros_like(change)) <= target:
+            return False
+        end, x = tableau.t + piece.length, tableau.combine(self.n_runs)[0]
+        displacement, evaluations = self._plan.velocity_displacement(end, x, change, VELOCITY_ERROR_TIME)
+        self.work.add(evaluations)
+        return displacement > target
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
         """Return the error of a piece [m] by further runs, whose work counts; set `n_runs` to one that suffices.

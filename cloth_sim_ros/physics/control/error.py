@@ -150,8 +150,6 @@ class ErrorRule:
         activity: float,
         jerk_change: float = 0.0,
         grip_jerk_change: float = 0.0,
-        *,
-        may_jump: bool = False,
     ) -> tuple[float, float]:
         """Return the predicted errors of a piece [m] by its runs, and by one run less; infinite if the motion changed.
 
@@ -160,9 +158,8 @@ class ErrorRule:
             length: of the piece [s].
             change: of positions [m] and of velocities [m/s] by the last run of the combination; zeros for a single run.
             activity: activity of the piece [m/s].
-            jerk_change: change of jerk of a run whose springs turn, or whose friction may jump [m/s].
+            jerk_change: change of jerk of a single run whose springs turn [m/s].
             grip_jerk_change: change of jerk of a single run by grippers' paths [m/s].
-            may_jump: true if a force of friction may jump, see `jump_displaces`.
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
@@ -174,10 +171,8 @@ class ErrorRule:
         if activity_ratio > (trust_factor if len(counts) == 1 else trust_factor * trust_factor * trust_factor):
             # The motion differs from the one with the last estimate, for example after an impact.
             return math.inf, math.inf
-        is_changed = jerk_change > trust_factor * memory.jerk_change
-        if is_changed and may_jump:
-            return math.inf, math.inf
         if len(counts) == 1:
+            is_changed = jerk_change > trust_factor * memory.jerk_change
             if is_changed and displacement_by_jerk(jerk_change, counts[0]) > self._target(length):
                 return math.inf, math.inf
             scale = memory.safety_factor * step * step / memory.coefficient
@@ -192,19 +187,6 @@ class ErrorRule:
         growth = max(1.0, ratio * memory.lower_order_coefficient / coefficient_of(counts[:-1], length))
         scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
         return scale * memory.error * fraction, lower_order_error
-
-    def jump_displaces(self, jerk_change: float, steps: int, length: float) -> bool:
-        """Return True if a force jump that causes a change of jerk may displace by more than a piece's target error.
-
-        A force per mass that jumps by a causes a change of jerk of up to a T/4. It causes a velocity error of up to a
-        h/4 with the step h, because no step meets its time.
-
-        Args:
-            jerk_change: change of jerk [m/s].
-            steps: number of steps of the first run.
-            length: of the piece [s].
-        """
-        return VELOCITY_ERROR_TIME * jerk_change > steps * self._target(length)
 
     def _target(self, length: float) -> float:
         """Return the error at which a piece of a length [s] aims [m]."""

@@ -187,6 +187,15 @@ class ExtrapolationTableau:
         self._make_runs(1)
         return self._runs[0].jerk_change
 
+    def friction_change(self, n_runs: int) -> Array | None:
+        """Return the changes of friction over the interval, see `ContactBinding.friction_change`; None without any."""
+        contact = self._plan.contact
+        if contact is None or not contact.force.has_friction:
+            return None
+        positions = self._start.x, self.combine(n_runs)[0]
+        ends = self._runs[n_runs - 1].anchors
+        return contact.friction_change(self.t, self.duration, positions, ends, self._start.memory)
+
     def change(self, n_runs: int) -> tuple[float, float]:
         """Return the largest changes of position [m] and velocity [m/s] if one run more than n_runs is combined."""
         if n_runs not in self._changes:
