@@ -467,14 +467,14 @@ class Controller:
     def _friction_displaces(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
         """Return True if friction that turns round within a step may displace by more than a piece's target error.
 
-        A jump of a force per mass by a causes a velocity error of up to a h/4 with the step h, because no step meets
-        its time. Springs hold a particle that turns alone.
+        No step meets the time of a jump. So a force per mass that jumps by a causes a velocity error of up to a h/4.
+        Springs hold a particle that turns alone.
         """
         change = tableau.friction_change(self.n_runs)
         if change is None:
             return False
         target = CONSTANTS.error_target_fraction * self.budget * (piece.length / self._duration)
-        change *= 0.25 * piece.step
+        change *= piece.step / 4.0
         if VELOCITY_ERROR_TIME * largest_distance(change, np.zeros_like(change)) <= target:
             return False
         end, x = tableau.t + piece.length, tableau.combine(self.n_runs)[0]

@@ -80,15 +80,15 @@ TEST_CASE("the damping rate up to an energy bounds the slope at all gaps and spe
             return dual_law.push({s * thickness, 0.0}, {closing, 1.0}).slope;
         };
         for (const double b : {1e-7, 1e-5, 1e-3, 0.1, 3.0}) {
-            const double given = speed * random.uniform(0.0, 0.3), start = stopping_gap(b);
+            const double speed_limit = speed * random.uniform(0.0, 0.3), start = stopping_gap(b);
             const double by_energy = damping_at_energy(law, b),
-                         by_speed = law.damping_up_to(b, [&](double) { return given; });
+                         by_speed = law.damping_up_to(b, [&](double) { return speed_limit; });
             double largest_by_energy = 0.0, largest_by_speed = 0.0;
             for (int round = 0; round < 2000; ++round) {
                 const double s = start + (1.0 - start) * random.uniform(1e-6, 1.0);
                 const double available = speed * std::sqrt(std::max(b - law.shape(s * thickness), 0.0));
                 largest_by_energy = std::max({largest_by_energy, slope(s, available), slope(s, -available)});
-                largest_by_speed = std::max({largest_by_speed, slope(s, given), slope(s, 0.0)});
+                largest_by_speed = std::max({largest_by_speed, slope(s, speed_limit), slope(s, 0.0)});
             }
             CHECK(largest_by_energy <= by_energy * (1.0 + 1e-9));
             CHECK(largest_by_speed <= by_speed * (1.0 + 1e-9));
