@@ -189,11 +189,10 @@ class ExtrapolationTableau:
 
     def friction_change(self, n_runs: int) -> Array | None:
         """Return the changes of friction over the interval, see `ContactBinding.friction_change`; None without any."""
-        contact = self._plan.contact
-        if contact is None or not contact.force.has_friction:
-            return None
         positions = self._start.x, self.combine(n_runs)[0]
-        ends = self._runs[n_runs - 1].anchors
+        contact, ends = self._plan.contact, self._runs[n_runs - 1].anchors
+        if contact is None or ends is None or not contact.force.has_friction:
+            return None
         return contact.friction_change(self.t, self.duration, positions, ends, self._start.memory)
 
     def change(self, n_runs: int) -> tuple[float, float]:
