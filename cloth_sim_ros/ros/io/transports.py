@@ -90,7 +90,8 @@ def _segment_size(unread_bytes: int, sent_bytes: int, rate: float) -> int:
     """Return the size of a segment [bytes] for messages that are sent at a rate [Hz].
 
     Args:
-        unread_bytes: size of the messages of a frame that stay unread for suspended subscribers. Fast DDS overwrites others.
+        unread_bytes: size of the messages of a frame that are held, unread, for suspended subscribers. Fast DDS
+            overwrites others.
         sent_bytes: size of all messages of a frame.
         rate: rate of the frames [Hz].
     """
