@@ -97,7 +97,9 @@ class Inputs:
             reason = follower.find_obstacles()
             return not reason
 
-        await_condition(self._node, is_complete, lambda: f"waiting for the TF frames of obstacles: {reason}", signal_name)
+        await_condition(
+            self._node, is_complete, lambda: f"waiting for the TF frames of obstacles: {reason}", signal_name
+        )
         if follower.obstacle_poses():
             self._simulation.restart(self._build_reset(scene, False))
 
