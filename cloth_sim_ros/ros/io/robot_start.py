@@ -22,6 +22,7 @@ from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.io.stamps import to_ros_time
 from cloth_sim_ros.ros.io.start_wait import await_condition
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.reporting.log import shorten_lines
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.robot.kinematics import transform_of
 from cloth_sim_ros.scene.robot.links import RobotLinks, add_links, read_description, with_poses, without_links
@@ -181,7 +182,8 @@ class RobotStart:
         try:
             self.states.add(message.name, message.position, to_ros_time(time_of.sec, time_of.nanosec), now)
         except ValueError as error:
-            self._node.get_logger().warning(f"a joint state is refused: {error}", throttle_duration_sec=1.0)
+            text = shorten_lines(f"a joint state is refused: {error}")
+            self._node.get_logger().warning(text, throttle_duration_sec=1.0)
 
     def _wait(self, is_done: Callable[[], bool], describe: Callable[[], str]) -> None:
         await_condition(self._node, is_done, describe, self._signal_name)

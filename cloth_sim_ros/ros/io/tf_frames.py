@@ -127,7 +127,14 @@ class FrameTransformer:
             ) from error
         self._transform_stamp = read_stamp(answer.header.stamp)
         t, r = answer.transform.translation, answer.transform.rotation
-        return np.array([t.x, t.y, t.z]), normalized([r.x, r.y, r.z, r.w])
+        translation = np.array([t.x, t.y, t.z])
+        try:
+            rotation = normalized([r.x, r.y, r.z, r.w])
+        except ValueError as error:
+            raise FrameError(f"the transform from '{frame_id}' is invalid: {error}") from error
+        if not np.isfinite(translation).all():
+            raise FrameError(f"the transform from '{frame_id}' is invalid: {translation.tolist()} m must be finite")
+        return translation, rotation
 
     def _start_listener(self, frame_id: str) -> None:
         if self._buffer is not None:
