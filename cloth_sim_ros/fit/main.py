@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cloth_sim_ros.session.console import escape_unencodable
+from cloth_sim_ros.session.console import escape_unencodable, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         fit = _fit(options)
         _report(fit, options)
     except (SessionError, FitError, ParameterError) as error:
-        print(f"cloth_fit: {error}", file=sys.stderr)
+        print(f"cloth_fit: {printable(str(error))}", file=sys.stderr)
         return REFUSED
     except OSError as error:
         print(f"cloth_fit: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)

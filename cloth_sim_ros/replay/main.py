@@ -12,7 +12,8 @@ from pathlib import Path
 
 from cloth_sim_ros.replay.rows import MAX_TIME
 from cloth_sim_ros.replay.viewer import ViewerError
-from cloth_sim_ros.session.console import escape_unencodable
+from cloth_sim_ros.session.command_runner import INTERRUPTED
+from cloth_sim_ros.session.console import escape_unencodable, printable
 from cloth_sim_ros.session.errors import SessionError
 
 #: Exit statuses: success; a missing requirement of this machine; a wrong session or command line.
@@ -24,7 +25,7 @@ _SIZE = (1600, 900)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `cloth_replay`: show a session, or save a recording or a picture; return 0, 1 (machine) or 2 (session)."""
+    """Run `cloth_replay`: show a session, or save a recording or a picture; return 0, 1 (machine), 2 (session), 130."""
     escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 accuracy=options.accuracy,
             )
     except SessionError as error:
-        print(f"cloth_replay: {error}", file=sys.stderr)
+        print(f"cloth_replay: {printable(str(error))}", file=sys.stderr)
         return INVALID
     except ViewerError as error:
         print(f"cloth_replay: {error}", file=sys.stderr)
@@ -74,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"cloth_replay: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
         return UNAVAILABLE
     except KeyboardInterrupt:
-        return UNAVAILABLE
+        print("cloth_replay: interrupted", file=sys.stderr)
+        return INTERRUPTED
     return DONE
 
 

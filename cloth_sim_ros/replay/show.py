@@ -22,6 +22,7 @@ from cloth_sim_ros.replay.plots import ACCURACY
 from cloth_sim_ros.replay.pre_scan import PreScan, scan_session
 from cloth_sim_ros.replay.stream import ReplayStream
 from cloth_sim_ros.replay.viewer import ViewerError, check_screen, open_window, save_screenshot
+from cloth_sim_ros.session.console import printable
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.output_files import atomic_write
 from cloth_sim_ros.session.reader import SessionReader
@@ -234,4 +235,4 @@ def _recording(reader: SessionReader) -> rr.RecordingStream:
 
 def _print_missing(reader: SessionReader) -> None:
     if reader.missing:
-        print(f"cloth_replay: {reader.missing}", file=sys.stderr)
+        print(f"cloth_replay: {printable(reader.missing)}", file=sys.stderr)

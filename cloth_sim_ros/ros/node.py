@@ -96,6 +96,7 @@ class ClothNode:
             refusal=lambda: self.failure.refusal,
         )
         self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log, robot)
+        self.inputs.place_followers(signal_name or str)
         self.outputs = Outputs(self.node, simulation, self.inputs.commands, session, log)
         if scene.record.topics:
             self._add_bag_topics(session)

@@ -12,6 +12,7 @@ from typing import Any
 
 from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode_cloud, decode_mesh
+from cloth_sim_ros.session.console import printable
 from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.session.reader import SessionReader, read_frame
@@ -130,15 +131,15 @@ def render(reader: SessionReader, summary: SessionSummary) -> str:
         _line("integrator", ", ".join(f"{name} x {count}" for name, count in summary.integrators.most_common(3))),
         _line("steps", _steps(summary)),
         _line("events", ", ".join(f"{kind} {count}" for kind, count in summary.events.most_common()) or "none"),
-        *(" " * 12 + event for event in summary.notable_events),
+        *(" " * 12 + printable(event) for event in summary.notable_events),
     ]
     n_hidden = sum(n for kind, n in summary.events.items() if kind not in _TARGET_EVENTS) - len(summary.notable_events)
     if n_hidden > 0:
         lines.append(" " * 12 + f"... and {n_hidden} more")
     lines += ["", f"{'topic':36} {'type':34} {'count':>8} {'MB':>9} {'lost':>6}"]
     for name, topic in sorted(summary.topics.items()):
-        short = topic.type_name.replace("/msg/", "/")
-        lines.append(f"{name:36} {short:34} {topic.count:8} {topic.size / 1e6:9.2f} {topic.n_missing:6}")
+        short = printable(topic.type_name.replace("/msg/", "/"))
+        lines.append(f"{printable(name):36} {short:34} {topic.count:8} {topic.size / 1e6:9.2f} {topic.n_missing:6}")
     return "\n".join(lines)
 
 
@@ -170,7 +171,7 @@ def to_json(reader: SessionReader, summary: SessionSummary) -> dict[str, Any]:
 
 
 def _line(label: str, text: str) -> str:
-    return f"{label:11} {text}"
+    return f"{label:11} {printable(text)}"
 
 
 def _format_event(event: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cloth_sim_ros.session.console import escape_unencodable
+from cloth_sim_ros.session.console import escape_unencodable, printable
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.plurals import pluralize
 
@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         status: int = options.run(options)
     except SessionError as error:
-        print(f"cloth_session: {error}", file=sys.stderr)
+        print(f"cloth_session: {printable(str(error))}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         # The reader of the output (head, less) has closed the pipe.
@@ -79,7 +79,7 @@ def _files(options: argparse.Namespace) -> tuple[list[Path], bool]:
         files = session_files(files[0])
     absent = absent_files(files, whole=is_whole)
     for sentence in absent:
-        print(f"cloth_session: {sentence}", file=sys.stderr)
+        print(f"cloth_session: {printable(sentence)}", file=sys.stderr)
     return files, bool(absent)
 
 
@@ -132,7 +132,7 @@ def _recover(options: argparse.Namespace) -> int:
 
         recovery = recover(options.file, options.output, on_progress=update_bar)
     size = f"{pluralize(recovery.messages, 'message')}, {recovery.bytes_written / 1e6:,.1f} MB"
-    print(f"{recovery.path}: {size}\nwhat was missing stays missing: {recovery.missing}")
+    print(f"{recovery.path}: {size}\nwhat was missing stays missing: {printable(recovery.missing)}")
     return 0
 
 
@@ -155,7 +155,7 @@ def _export(options: argparse.Namespace) -> int:
             on_progress=lambda: _advance_bar(bar),
         )
         if reader.missing is not None:
-            print(f"cloth_session: {reader.missing}", file=sys.stderr)
+            print(f"cloth_session: {printable(reader.missing)}", file=sys.stderr)
     print(f"{output}: {pluralize(count, 'frame')}, {output.stat().st_size / 1e6:,.1f} MB")
     return 0
 

@@ -107,6 +107,7 @@ class SessionWriter:
         opening = encode_opening(self._builder, snapshot, session=session or stem, part=part, log_time=log_time)
         self._file = open_file(folder, f"{stem}_{part:03d}", SUFFIX)
         try:
+            self._check_free_space()
             self._file.append([opening])
             if self._options.sync_seconds:
                 self._file.sync()
@@ -228,6 +229,9 @@ class SessionWriter:
     def _check_space(self) -> None:
         if not self._file.is_linked():
             raise RecordingError(f"{self.path} was removed while it was being recorded")
+        self._check_free_space()
+
+    def _check_free_space(self) -> None:
         min_free = self._options.min_free_space
         free_bytes = self._file.free_space() if min_free else 0
         if free_bytes < min_free:

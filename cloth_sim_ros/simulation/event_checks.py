@@ -207,7 +207,6 @@ def _check_parameters(event: SetParameters, scene: Scene, state: State) -> Scene
     except ValueError as error:
         raise EventError(str(error)) from error
     check_new_scene(scene, new_scene, state)
-    _check_stops(scene, new_scene, state)
     return new_scene
 
 
@@ -257,12 +256,12 @@ def _stop_clearance(half_opening: float, inner: float, outer: float, thickness: 
 
 
 def check_new_scene(scene: Scene, new_scene: Scene, state: State) -> None:
-    """Raise EventError if the obstacles of a new scene would intersect or contain the cloth.
+    """Raise EventError if a new scene has obstacles in the cloth, or stops that pads are beyond.
 
     Checked are new obstacles, obstacles that contained anchored particles, and all obstacles if the thickness changes.
 
     Raises:
-        EventError: naming the obstacle and the location.
+        EventError: naming the obstacle and the location, or the gripper.
     """
     remaining = [name for name in new_scene.obstacle_names if name in scene.obstacle_names]
     added = [name for name in new_scene.obstacle_names if name not in remaining]
@@ -276,6 +275,7 @@ def check_new_scene(scene: Scene, new_scene: Scene, state: State) -> None:
         elif new_scene.contact.self_:
             _check_faces(moved_scene, [], np.empty((0, 7)), state, "the cloth")
         _check_present_pads(moved_scene, state)
+    _check_stops(scene, new_scene, state)
 
 
 def _check_present_pads(scene: Scene, state: State) -> None:

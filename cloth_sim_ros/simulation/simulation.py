@@ -188,10 +188,10 @@ class Simulation(ExclusiveAccess):
 
     @between_frames
     def check_scene(self, scene: Scene) -> None:
-        """Raise EventError if the new obstacles of a future scene would intersect or contain the present cloth.
+        """Raise EventError if a future scene has obstacles in the present cloth, or stops that pads are beyond.
 
         Raises:
-            EventError: naming the obstacle and the location.
+            EventError: naming the obstacle and the location, or the gripper.
         """
         check_new_scene(self._scene, scene, self.state)
 

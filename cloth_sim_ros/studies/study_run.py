@@ -161,7 +161,7 @@ def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path)
     return row, session
 
 
-def _start_ensemble(simulation: Simulation) -> Ensemble | None:
+def start_ensemble(simulation: Simulation) -> Ensemble | None:
     """Return the ensemble of a run's scene, at its start; None if the scene names no distribution.
 
     Raises:
@@ -184,7 +184,7 @@ def _start_ensemble(simulation: Simulation) -> Ensemble | None:
     )
 
 
-def _advance_ensemble(ensemble: Ensemble, frame: Frame) -> EnsembleFrame:
+def advance_ensemble(ensemble: Ensemble, frame: Frame) -> EnsembleFrame:
     """Advance an ensemble by the events of a frame.
 
     Raises:
@@ -227,7 +227,7 @@ class CommandedSimulation:
         """
         try:
             simulation = Simulation(study.scene(factor_levels))
-            ensemble = _start_ensemble(simulation)
+            ensemble = start_ensemble(simulation)
         except (ValueError, MemoryError) as error:
             raise RunError(str(error) or "not enough memory") from error
         period = simulation.scene.period
@@ -263,7 +263,7 @@ class CommandedSimulation:
         except (TypeError, ValueError, ArithmeticError, MemoryError) as error:
             raise RunError(format_error(error)) from error
         self._wrenches = frame.wrenches
-        return events, frame, None if self.ensemble is None else _advance_ensemble(self.ensemble, frame)
+        return events, frame, None if self.ensemble is None else advance_ensemble(self.ensemble, frame)
 
     def _query_policy(
         self, policy: Any, reference: str, values: dict[str, Any], rng: Any, frame: int

@@ -20,6 +20,7 @@ from cloth_sim_ros.simulation.events import Grasp, Target, from_dict
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.studies.errors import StoppedError
 from cloth_sim_ros.studies.run_recording import RunRecording
+from cloth_sim_ros.studies.study_run import RunError, advance_ensemble, start_ensemble
 
 Floats = NDArray[np.float32]
 
@@ -56,10 +57,10 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
     Args:
         run: index of the run.
         session: session file of the run.
-        copy_into: folder for a copy of the session with clouds; None for no copy.
+        copy_into: folder for a copy of the session with clouds, also those of its ensemble; None for no copy.
 
     Raises:
-        StoppedError: if the session can't be read, or a digest differs.
+        StoppedError: if the session can't be read, a digest differs, or the ensemble can't go on.
     """
     try:
         with SessionReader([session]) as reader:
@@ -68,6 +69,7 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
             simulation = Simulation(Scene.from_parameters(values, files=part.files), State.from_bytes(part.state))
             part.rewind()
             records = [read_frame(message) for message in part.messages(topics=frozenset({f"{reader.node}/frame"}))]
+        ensemble = None if copy_into is None else start_ensemble(simulation)
     except (SessionError, ValueError) as error:
         raise StoppedError(f"run {run} can't be read: {error}") from error
     recording = None
@@ -82,7 +84,11 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
             remedy = "export it with the version of cloth_sim_ros that recorded it (cloth_verify prints it)"
             raise StoppedError(f"run {run} has another digest here from frame {record.frame} on; {remedy}")
         if recording is not None:
-            recording.add(events, frame)
+            try:
+                deviations = None if ensemble is None else advance_ensemble(ensemble, frame)
+            except RunError as error:
+                raise StoppedError(f"run {run} can't be exported: {error}") from error
+            recording.add(events, frame, deviations)
         recorder.add(events, frame)
     if recording is not None:
         recording.finish(reason="stopped")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cloth_sim_ros.session.bag import is_bag
-from cloth_sim_ros.session.console import escape_unencodable
+from cloth_sim_ros.session.console import escape_unencodable, printable
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.output_files import OutputError, atomic_write, check_outputs
 from cloth_sim_ros.session.plurals import pluralize
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     status = SAME
     try:
         for gap in absent_files(options.session, whole=False):
-            print(f"cloth_verify: {gap}", file=sys.stderr)
+            print(f"cloth_verify: {printable(gap)}", file=sys.stderr)
             status = UNREADABLE
         for paths in sessions:
             certificate = None
@@ -78,11 +78,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 else:
                     verdicts = [_verify(paths)]
             except SessionError as error:
-                print(f"cloth_verify: {error}", file=sys.stderr)
+                print(f"cloth_verify: {printable(str(error))}", file=sys.stderr)
                 status = UNREADABLE
                 continue
             for verdict in verdicts:
-                print(describe(verdict), flush=True)
+                print(printable(describe(verdict), keep="\n"), flush=True)
                 status = max(status, status_of(verdict), key=_SEVERITY.index)
                 if certificate is not None:
                     status = max(status, SAME if certificate.is_satisfied else BOUND_VIOLATED, key=_SEVERITY.index)
@@ -260,7 +260,7 @@ def _write_certificate(certificate: Certificate, verdict: Verdict, options: argp
     from cloth_sim_ros.verify.certificate_files import write_json, write_plot
     from cloth_sim_ros.verify.certificate_text import describe_accuracy
 
-    print(describe_accuracy(certificate), flush=True)
+    print(printable(describe_accuracy(certificate), keep="\n"), flush=True)
     for sample in certificate.unsolved_samples[:_MAX_UNSOLVED]:
         print(f"cloth_verify: {certificate.name}: frame {sample.frame}: {sample.reason}", file=sys.stderr)
     if options.json is not None:

@@ -43,7 +43,7 @@ def test_a_picture_is_a_png(session: Path, tmp_path: Path, capsys: pytest.Captur
 
 
 def test_interrupted_recording_keeps_existing_output(
-    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, old = tmp_path / "out.rrd", tmp_path / "old.rrd"
     assert main([str(session), "--save", str(old)]) == 0
@@ -56,6 +56,7 @@ def test_interrupted_recording_keeps_existing_output(
 
     monkeypatch.setattr(ReplayStream, "add_all", interrupted)
     for path in (out, old):
-        assert main([str(session), "--save", str(path)]) == 1
+        assert main([str(session), "--save", str(path)]) == 130
+        assert capsys.readouterr().err.endswith("cloth_replay: interrupted\n")
     assert old.read_bytes() == was
     assert sorted(os.listdir(tmp_path)) == sorted([session.name, "old.rrd"])

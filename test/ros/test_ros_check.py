@@ -135,6 +135,9 @@ def test_check_and_node_warn_alike_of_ineffective_parameters(
         ({"cloth.anchors": ["middle"]}, "'middle' is no edge or corner of a grid"),
         ({"step": 0.01}, "step 0.01 s is above the stability limit"),
         ({"material.stretch_modulus": 1e9, "material.density": 1e-6, "integrator": "leapfrog"}, "a frame would take"),
+        # Implicit steps may find no solution, and nothing then bounds the explicit ones.
+        ({"material.stretch_modulus": 1e9, "material.density": 1e-9, "work_limit": 1e6}, "a work_limit of 1e+06), at"),
+        ({"material.stretch_modulus": 1e9, "material.density": 1e-9, "work_limit": 0.0}, "s, with no work_limit), at"),
         ({"cloth.mesh": "nowhere.obj"}, "cannot read 'nowhere.obj'"),
         ({"initial_state": "nowhere.mcap@3"}, "nowhere.mcap"),
         ({"grippers": []}, "grippers is an empty list, [], whose type ROS can't know; for none write ['']"),

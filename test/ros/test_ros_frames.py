@@ -85,6 +85,25 @@ def test_frames_with_tf2_are_transformed(monkeypatch: pytest.MonkeyPatch) -> Non
         frames.to_cloth("moon", (1.0, 0.0, 0.5), None, 0)
 
 
+def test_invalid_transforms_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch)
+    frames = transformer()
+    frames.newest("base")
+    # private: the answer of tf2 is replaced
+    lookup, vector = frames._buffer.lookup_transform, SimpleNamespace
+    for part, value, words in (
+        ("rotation", vector(x=0.0, y=0.0, z=0.0, w=0.0), "is no quaternion"),
+        ("rotation", vector(x=float("nan"), y=0.0, z=0.0, w=1.0), "is no quaternion"),
+        ("translation", vector(x=float("inf"), y=0.0, z=0.0), "must be finite"),
+    ):
+        answer = lookup("world", "base", SimpleNamespace(nanoseconds=0))
+        setattr(answer.transform, part, value)
+        # private: the answer of tf2 is replaced
+        monkeypatch.setattr(frames._buffer, "lookup_transform", lambda *_, answer=answer: answer, raising=False)
+        with pytest.raises(FrameError, match=f"the transform from 'base' is invalid: .*{words}"):
+            frames.newest("base")
+
+
 def test_command_stamped_now_uses_newest_transform(monkeypatch: pytest.MonkeyPatch) -> None:
     lookups = stub_tf2(monkeypatch)
     frames = transformer()

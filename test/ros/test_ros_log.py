@@ -138,3 +138,14 @@ def test_start_says_nothing_of_the_material(client: Client, capfd: pytest.Captur
     said = capfd.readouterr().err
     assert "grippers: gripper" in said
     assert "Poisson" not in said
+
+
+def test_long_names_of_messages_are_shortened(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
+    with ClockedCloth(client) as cloth:
+        cloth.send("gripper/target", pose(0.0, 0.0, 0.0, frame_id="x" * 100_000))
+        cloth.tick()
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "xxx" in line]
+    assert len(line) < 1200
+    assert "characters left out) ..." in line
+    # The remedy is at the end.
+    assert "give poses in 'world'" in line or "no transform" in line

@@ -19,6 +19,7 @@ from support.ros_client import Client
 from cloth_sim_ros import Scene
 from cloth_sim_ros.ros.io.parameters import UnknownParametersError, declare, parameter_descriptor
 from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.simulation.events import SetParameters
 
 DECLARED = {entry.name: entry for entry in Scene.declared()}
 #: A value of another type for each type.
@@ -201,3 +202,15 @@ def test_new_parameters_are_set_one_after_another(client: Client) -> None:
         assert node.get_parameter("gripper.max_speed").value == 1.0
         with pytest.raises(UnknownParametersError, match=r"there is no parameter 'gravty'.*gravity"):
             node.set_parameters([Parameter("gravty", value=[0.0, 0.0, 0.0])])
+
+
+def test_parameters_that_fail_in_their_frame_are_set_back(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
+    with ClockedCloth(client) as cloth:
+        cloth.tick()
+        assert cloth.node.node.set_parameters([Parameter("air.drag", value=3.0)])[0].successful
+        # Accepted by another way, without the node's check.
+        cloth.node.stepper.queue.put(SetParameters({"step": 0.5}))
+        cloth.tick(2)
+        assert cloth.node.node.get_parameter("air.drag").value == 0.2
+        assert cloth.simulation.scene.air.drag == 0.2
+    assert "parameters are set back: step 0.5 s is above the stability limit" in capfd.readouterr().err

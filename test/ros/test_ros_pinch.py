@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 from support.clocked_cloth import ClockedCloth
@@ -181,3 +182,13 @@ def test_parameters_that_prevent_pinching_are_refused(client: Client, values: di
     with pytest.raises(ParameterError) as caught:
         ClockedCloth(client, {**PINCH, **values})
     assert words in str(caught.value)
+
+
+def test_opening_that_pads_exceed_is_refused_live(client: Client) -> None:
+    with ClockedCloth(client, PINCH) as cloth:
+        cloth.target("gripper", off_corner(0.0, 0.2, 0.0))
+        cloth.tick(2)
+        (result,) = cloth.node.node.set_parameters([Parameter("gripper.opening", value=0.005)])
+        assert not result.successful
+        assert "gripper.opening is 0.005 m; it would leave the pads of 'gripper'" in result.reason
+        assert cloth.node.node.get_parameter("gripper.opening").value == 0.02

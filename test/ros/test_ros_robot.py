@@ -24,6 +24,7 @@ from std_srvs.srv import Trigger
 from support.clocked_cloth import SECOND, ClockedCloth
 from support.robots import ARM, ARM_JOINTS, robot_scene
 from support.ros_client import Client
+from support.tf2_stub import stub_tf2
 
 from cloth_sim_ros.ros.io.robot_start import link_poses, mount_of
 from cloth_sim_ros.scene.parameters.declare import ParameterError
@@ -268,41 +269,6 @@ def test_tf_without_tf2_is_refused_with_the_remedy(
     for values in ({"robot.source": "tf"}, {"robot.frame": "platform"}):
         with pytest.raises(ParameterError, match=f"{next(iter(values))} needs tf2_ros.*sudo apt install"):
             ClockedCloth(client, {**AT, "robot.description_file": description, **values})
-
-
-def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> list[Any]:
-    """Replace tf2_ros: each frame is displaced along x, and frames that are not in `x_of` are missing.
-
-    Returns:
-        The buffers that listen to /tf.
-    """
-    listening: list[Any] = []
-
-    class TransformException(Exception):
-        pass
-
-    class Buffer:
-        def lookup_transform(self, _target: str, source: str, _time: Any) -> Any:
-            if source not in x_of:
-                raise TransformException(f"'{source}' does not exist")
-            return SimpleNamespace(
-                header=SimpleNamespace(stamp=SimpleNamespace(sec=5, nanosec=0)),
-                transform=SimpleNamespace(
-                    translation=SimpleNamespace(x=x_of[source], y=0.0, z=0.0),
-                    rotation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
-                ),
-            )
-
-        def clear(self) -> None:
-            pass
-
-    module = SimpleNamespace(
-        Buffer=Buffer,
-        TransformException=TransformException,
-        TransformListener=lambda buffer, _node: listening.append(buffer),
-    )
-    monkeypatch.setitem(sys.modules, "tf2_ros", module)
-    return listening
 
 
 def test_mount_may_be_the_frame_of_the_root_link(

@@ -482,3 +482,16 @@ def test_many_threads_record_concurrently(tmp_path: Path) -> None:
         with SessionReader(status.path) as reader:
             got = list(reader.messages([f"/{name}"]))
         assert [int(item.data) for item in got] == [item.sequence for item in got] == list(range(300))
+
+
+def test_low_free_space_refuses_the_file(tmp_path: Path) -> None:
+    class AlmostFull(AppendFile):
+        def free_space(self) -> int:
+            return 6_000_000
+
+    options = dataclasses.replace(QUICK, min_free_space=100_000_000)
+    recorder = _start(tmp_path, writer=options, open_file=AlmostFull)
+    with pytest.raises(RecordingError, match=r"6 MB are left on the disk .*least_free_space is 100 MB"):
+        recorder.wait_until_open()
+    recorder.close()
+    assert not list(tmp_path.iterdir())

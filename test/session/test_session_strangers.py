@@ -21,6 +21,7 @@ from cloth_sim_ros.session.part import SessionPart
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.recover import recover
 from cloth_sim_ros.session.writer import SessionWriter, WriterOptions
+from cloth_sim_ros.verify.main import main as verify_main
 
 SMALL = WriterOptions(chunk_bytes=4096, sync_seconds=0)
 
@@ -199,3 +200,16 @@ def _split_session(folder: Path) -> list[Path]:
         writer.finish(reason=reason)
         paths.append(writer.path)
     return paths
+
+
+def test_names_in_a_file_do_not_control_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name = "/cloth\x1b[2J\x1b]0;title\x07\nstate       complete\u202e"
+    content = [item._replace(topic=name) if item.topic.endswith("/wrench") else item for item in samples.samples(40)]
+    path = samples.write_session(tmp_path, content, options=SMALL)
+    raw = path.read_bytes()
+    path.write_bytes(raw[: len(raw) * 2 // 3])
+    assert main(["info", str(path)]) == 1
+    verify_main([str(path)])
+    output = "".join(capsys.readouterr())
+    assert "\\x1b[2J\\x1b]0;title\\x07\\nstate" in output
+    assert all(character.isprintable() or character == "\n" for character in output.replace("\r", ""))

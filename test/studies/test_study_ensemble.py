@@ -14,10 +14,12 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
+from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation.ensemble import Ensemble
 from cloth_sim_ros.studies import study_file
 from cloth_sim_ros.studies.errors import StudyError
 from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.main import main
 from cloth_sim_ros.studies.study import Study
 from cloth_sim_ros.studies.study_estimate import sample_and_estimate
 from cloth_sim_ros.studies.study_run import perform
@@ -39,6 +41,11 @@ def study_of(folder: Path, deviation: float = 0.3, **entries: Any) -> Study:
     return study_file.from_dict(content, folder=folder)
 
 
+def messages_of(path: Path) -> list[tuple[str, bytes]]:
+    with SessionReader([path]) as reader:
+        return [(message.topic, message.data) for message in reader.messages()]
+
+
 def test_runs_have_outcomes_of_the_ensemble(tmp_path: Path) -> None:
     study, folder = study_of(tmp_path), StudyFolder(tmp_path / "out")
     samples, _ = sample_and_estimate(study, 1)
@@ -54,6 +61,27 @@ def test_runs_have_outcomes_of_the_ensemble(tmp_path: Path) -> None:
     verdict = verify([folder.path / row["session"]])
     assert verdict.same, verdict.first_reason
     assert verdict.compared["ensemble cloud"] == FRAMES
+
+
+def test_mcap_export_has_clouds_of_the_ensemble(tmp_path: Path) -> None:
+    study, folder = study_of(tmp_path, clouds=False), StudyFolder(tmp_path / "out")
+    samples, _ = sample_and_estimate(study, 1)
+    folder.create(study, samples, "")
+    perform(folder, study, 1, samples[1])
+    (tmp_path / "distribution.yaml").unlink()
+    assert main(["export", str(folder.path), "--mcap", str(tmp_path / "sessions")]) == 0
+    (copy,) = (tmp_path / "sessions").glob("*.mcap")
+    verdict = verify([copy])
+    assert verdict.same, verdict.first_reason
+    assert verdict.compared["ensemble cloud"] == FRAMES
+    # As if the run had recorded its clouds.
+    recorded = tmp_path / "recorded"
+    recorded.mkdir()
+    with_clouds = StudyFolder(recorded / "out")
+    (tmp_path / "distribution.yaml").write_text("parameters: [{name: wind.normal_drag, deviation: 0.3}]")
+    with_clouds.create(study_of(tmp_path, clouds=True), samples, "")
+    row = perform(with_clouds, study_of(tmp_path, clouds=True), 1, samples[1])
+    assert messages_of(copy) == messages_of(with_clouds.path / row["session"])
 
 
 def test_failing_member_fails_its_run(tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ such bound.
 
 from __future__ import annotations
 
+from cloth_sim_ros.physics.integrators.base import refuse_step
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -18,6 +20,8 @@ MAX_WORK = 20_000_000
 ALLOWED_STEPS = 1000
 #: Largest number of steps in a frame for any number of particles: each step has a fixed cost.
 MAX_STEPS = 100_000
+#: Largest work limit of a frame that bounds explicit steps in place of their number [s of estimated cost].
+_MAX_WORK_TIME = 60.0
 
 
 def check_feasibility(scene: Scene, simulation: Simulation) -> None:
@@ -29,17 +33,29 @@ def check_feasibility(scene: Scene, simulation: Simulation) -> None:
 
     Raises:
         ParameterError: names the number of steps of a frame, and the remedy.
+        StepLimitError: if the fixed step is above the stability limit of the present positions.
     """
-    particles = simulation.state.particle_count
+    particles, bounds = simulation.state.particle_count, simulation.spectral_bounds(scene)
+    integrator = scene.build_integrator()
+    limit = integrator.step_limit(*bounds)
     step, reason = scene.step, f"step is {scene.step} s"
-    if not step:
-        step = scene.build_integrator().step_limit(*simulation.spectral_bounds(scene))
+    if step:
+        refuse_step(step, limit, integrator.name)
+    else:
+        step = limit
         reason = f"the stability limit of '{scene.integrator}' is {step:.3g} s"
+        work_time = scene.work_limit * scene.period
+        if scene.integrator == "auto" and not 0.0 < work_time <= _MAX_WORK_TIME:
+            # If implicit steps find no solution, only the work limit bounds the explicit ones.
+            step = leapfrog_limit(*bounds)
+            work = f"a work_limit of {scene.work_limit:g}" if scene.work_limit else "no work_limit"
+            reason = f"the stability limit of explicit steps is {step:.3g} s, with {work}"
     # Longer frames may take more steps.
     duration_factor = max(1.0, 2.0 * scene.period)
     max_steps = int(duration_factor * min(MAX_STEPS, max(ALLOWED_STEPS, MAX_WORK // particles)))
     if step < scene.period / max_steps:
         raise ParameterError(
             f"a frame would take {scene.period / step:.3g} steps ({reason}), at most {max_steps} are taken live: "
-            "lower stiffness or damping, raise the density, or choose integrator 'auto' with step 0.0"
+            "lower stiffness or damping, raise the density, or choose integrator 'auto' with step 0.0 "
+            "and the default work_limit"
         )

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
@@ -75,6 +75,32 @@ class Inputs:
         self.actions: GripperActions | None = None
         #: Servers of simulation_interfaces; None if they are not requested.
         self.interfaces: SimulationInterfaces | None = None
+
+    def place_followers(self, signal_name: Callable[[], str]) -> None:
+        """Before `start`, wait for the TF frames that obstacles follow, and restart the cloth with them there.
+
+        Args:
+            signal_name: returns the name of the signal that has come; empty if none has.
+
+        Raises:
+            EventError: if an obstacle would start in the cloth, or its pose is invalid.
+            StopRequestedError: if a signal came meanwhile.
+        """
+        scene, follower, reason = self._simulation.scene, self.tf_follower, ""
+        if not any(scene.described[name].frame for name in scene.obstacle_names):
+            return
+        from cloth_sim_ros.ros.io.start_wait import await_condition
+
+        def is_complete() -> bool:
+            nonlocal reason
+            reason = follower.find_obstacles()
+            return not reason
+
+        await_condition(
+            self._node, is_complete, lambda: f"waiting for the TF frames of obstacles: {reason}", signal_name
+        )
+        if follower.obstacle_poses():
+            self._simulation.restart(self._build_reset(scene, False))
 
     def start(self) -> None:
         """Subscribe to commands of grippers and to joint states; create services, and actions if they are set."""

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -21,8 +20,9 @@ from cloth_sim_ros.ros.io.joint_states import JointStates
 from cloth_sim_ros.ros.io.output import overridden_profile
 from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.io.stamps import to_ros_time
+from cloth_sim_ros.ros.io.start_wait import await_condition
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
-from cloth_sim_ros.ros.process.stopping import StopRequestedError
+from cloth_sim_ros.ros.reporting.log import shorten_lines
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.robot.kinematics import transform_of
 from cloth_sim_ros.scene.robot.links import RobotLinks, add_links, read_description, with_poses, without_links
@@ -37,8 +37,6 @@ DESCRIPTION_QOS = QoSProfile(
 JOINT_STATES_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: Wait for the joints that no state has named, from the first state on [s].
 _MISSING_TIMEOUT = 2.0
-#: Period of the messages on what is awaited, and of the poll [s].
-_MESSAGE_PERIOD, _POLL_PERIOD = 5.0, 0.1
 
 
 class RobotStart:
@@ -184,31 +182,11 @@ class RobotStart:
         try:
             self.states.add(message.name, message.position, to_ros_time(time_of.sec, time_of.nanosec), now)
         except ValueError as error:
-            self._node.get_logger().warning(f"a joint state is refused: {error}", throttle_duration_sec=1.0)
+            text = shorten_lines(f"a joint state is refused: {error}")
+            self._node.get_logger().warning(text, throttle_duration_sec=1.0)
 
     def _wait(self, is_done: Callable[[], bool], describe: Callable[[], str]) -> None:
-        """Spin the node, without limit, until a condition holds; log what is awaited after 0.2 s, then every 5 s.
-
-        Raises:
-            StopRequestedError: if a signal came meanwhile.
-        """
-        if is_done():
-            return
-        executor = SingleThreadedExecutor(context=self._node.context)
-        executor.add_node(self._node)
-        # What is there already mostly comes within the first period.
-        next_message = time.monotonic() + 2.0 * _POLL_PERIOD
-        try:
-            while not is_done():
-                if name := self._signal_name():
-                    raise StopRequestedError(name)
-                if time.monotonic() >= next_message:
-                    self._node.get_logger().info(describe())
-                    next_message = time.monotonic() + _MESSAGE_PERIOD
-                executor.spin_once(timeout_sec=_POLL_PERIOD)
-        finally:
-            executor.remove_node(self._node)
-            executor.shutdown()
+        await_condition(self._node, is_done, describe, self._signal_name)
 
 
 def _check_tf(settings: RobotParameters) -> None:

@@ -32,6 +32,10 @@ class FrameError(ValueError):
     """Error: a pose can't be transformed into the cloth's frame; the message says why."""
 
 
+class Tf2MissingError(FrameError):
+    """Error: a pose can't be transformed because tf2_ros is not installed; the message names the remedy."""
+
+
 class FrameTransformer:
     """Transformer of poses into the cloth's frame, by tf2 or by the links of a robot.
 
@@ -123,7 +127,14 @@ class FrameTransformer:
             ) from error
         self._transform_stamp = read_stamp(answer.header.stamp)
         t, r = answer.transform.translation, answer.transform.rotation
-        return np.array([t.x, t.y, t.z]), normalized([r.x, r.y, r.z, r.w])
+        translation = np.array([t.x, t.y, t.z])
+        try:
+            rotation = normalized([r.x, r.y, r.z, r.w])
+        except ValueError as error:
+            raise FrameError(f"the transform from '{frame_id}' is invalid: {error}") from error
+        if not np.isfinite(translation).all():
+            raise FrameError(f"the transform from '{frame_id}' is invalid: {translation.tolist()} m must be finite")
+        return translation, rotation
 
     def _start_listener(self, frame_id: str) -> None:
         if self._buffer is not None:
@@ -134,7 +145,7 @@ class FrameTransformer:
             except ImportError:
                 self._is_tf2_missing = True
         if self._is_tf2_missing:
-            raise FrameError(
+            raise Tf2MissingError(
                 f"'{frame_id}' is not the cloth's frame '{self._frame_id}', and tf2_ros, which would transform it, is "
                 f"not installed: sudo apt install ros-jazzy-tf2-ros-py, or give poses in '{self._frame_id}'"
             )
@@ -176,10 +187,7 @@ class TfFollower:
         """Return targets at followed TF frames that moved, and openings of silent grippers, at a ROS time [ns]."""
         scene = self._simulation.scene
         events: list[Event] = []
-        if scene is not self._scene:
-            self._scene = scene
-            frames = [(name, scene.described[name].frame) for name in scene.obstacle_names]
-            self._obstacle_frames = [(name, frame) for name, frame in frames if frame]
+        self._update_obstacle_frames()
         for name, frame in self._obstacle_frames:
             events += self._follow_frame(Move, name, frame, now)
         if not scene.gripper.timeout and not scene.gripper.frame and not scene.individual:
@@ -194,6 +202,21 @@ class TfFollower:
         if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
             self._sent.clear()
 
+    def find_obstacles(self) -> str:
+        """Look up the frames of obstacles for `obstacle_poses`; return why one is not found, or an empty text.
+
+        Without tf2_ros the text is empty, because waiting would not help; `events` logs the reason.
+        """
+        self._update_obstacle_frames()
+        for name, frame in self._obstacle_frames:
+            try:
+                self._last_transforms[name] = frame, *self._frames.newest(frame)
+            except Tf2MissingError:
+                return ""
+            except FrameError as error:
+                return f"'{name}' follows frame '{frame}': {error}"
+        return ""
+
     def obstacle_poses(self) -> dict[str, tuple[float, ...]]:
         """Return the newest pose of each obstacle that follows a TF frame by name, 7 numbers; without unknown ones."""
         transforms = ((name, frame, self._last_transforms.get(name)) for name, frame in self._obstacle_frames)
@@ -206,6 +229,13 @@ class TfFollower:
     def restart_time(self) -> None:
         """Forget the newest transforms, because the clock was set back."""
         self._last_transforms.clear()
+
+    def _update_obstacle_frames(self) -> None:
+        scene = self._simulation.scene
+        if scene is not self._scene:
+            self._scene = scene
+            frames = [(name, scene.described[name].frame) for name in scene.obstacle_names]
+            self._obstacle_frames = [(name, frame) for name, frame in frames if frame]
 
     def _follow_frame(self, kind: type[Target | Move], name: str, frame: str, now: int) -> list[Event]:
         if not frame:

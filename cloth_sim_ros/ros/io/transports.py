@@ -22,6 +22,8 @@ from cloth_sim_ros.scene.scene import Scene
 _LEASE_TIME = 3.0
 #: Largest number of buffers that wait for one subscriber, and largest buffer [bytes]; longer messages are split.
 _QUEUE_LENGTH, _LARGEST_BUFFER = 512, 65_500
+#: Frames whose messages are in transit.
+_FRAMES_IN_TRANSIT = 4
 #: Size for all small messages: wrenches, states, diagnostics, discovery [bytes].
 _SMALL_MESSAGES = 1 << 20
 #: Smallest and largest segment [bytes].
@@ -64,7 +66,7 @@ def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
 @contextlib.contextmanager
 def large_segment(message_bytes: int, rate: float) -> Iterator[str]:
     """Context, as `cloud_transports`, for messages of a total size [bytes] that are sent at a rate [Hz]."""
-    with _segment(lambda: _segment_size(message_bytes, rate)) as warning:
+    with _segment(lambda: _segment_size(message_bytes, message_bytes, rate)) as warning:
         yield warning
 
 
@@ -81,12 +83,20 @@ def segment_bytes(parameters: Mapping[str, Any]) -> int:
         parameters: by full name; missing and invalid ones have their defaults.
     """
     cloud, mesh, rate = _output_bytes(parameters)
-    return _segment_size(cloud + mesh, rate)
+    return _segment_size(cloud, cloud + mesh, rate)
 
 
-def _segment_size(message_bytes: int, rate: float) -> int:
-    unread = min(_LEASE_TIME * rate * message_bytes, _QUEUE_LENGTH * _LARGEST_BUFFER)
-    size = int(unread) + 2 * message_bytes + _SMALL_MESSAGES
+def _segment_size(unread_bytes: int, sent_bytes: int, rate: float) -> int:
+    """Return the size of a segment [bytes] for messages that are sent at a rate [Hz].
+
+    Args:
+        unread_bytes: size of the messages of a frame that are held, unread, for suspended subscribers. Fast DDS
+            overwrites others.
+        sent_bytes: size of all messages of a frame.
+        rate: rate of the frames [Hz].
+    """
+    unread = min(_LEASE_TIME * rate * unread_bytes, _QUEUE_LENGTH * _LARGEST_BUFFER)
+    size = int(unread) + _FRAMES_IN_TRANSIT * sent_bytes + _SMALL_MESSAGES
     return min(max(size, _MIN_SEGMENT), _MAX_SEGMENT)
 
 

@@ -12,6 +12,8 @@ from rclpy.logging import LoggingSeverity
 
 #: Largest number of distinct kinds of message. Kinds contain gripper names; this is far above what is needed.
 _MAX_KINDS = 1000
+#: Longest line [characters]. Names in received messages may have any length.
+_MAX_LINE_LENGTH = 1000
 _INFO, _WARN, _ERROR = "info", "warn", "error"
 
 
@@ -62,7 +64,7 @@ class ThrottledLog:
             self._write(f"{message}{_more(count - 1)}", severity)
 
     def _log(self, kind: str, message: str, severity: str) -> None:
-        now = self._clock()
+        now, message = self._clock(), shorten_lines(message)
         last = self._last.get(kind)
         if last is not None and now - last < self._seconds:
             count = self._left_out[kind][0] if kind in self._left_out else 0
@@ -83,6 +85,19 @@ class ThrottledLog:
             self._logger.warning(text)
         else:
             self._logger.error(text)
+
+
+def shorten_lines(text: str) -> str:
+    """Return a text with the middle of each line of more than 1000 characters left out."""
+    if len(text) <= _MAX_LINE_LENGTH:
+        return text
+    half = _MAX_LINE_LENGTH // 2
+    return "\n".join(
+        line
+        if len(line) <= _MAX_LINE_LENGTH
+        else f"{line[:half]} ... ({len(line) - 2 * half} characters left out) ... {line[-half:]}"
+        for line in text.split("\n")
+    )
 
 
 def _more(count: int) -> str:

@@ -1,0 +1,103 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Start of obstacles that follow TF frames: where their frames are, never by a way through the cloth."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from support.clocked_cloth import ClockedCloth
+from support.ros_client import Client
+from support.tf2_stub import stub_tf2
+
+from cloth_sim_ros.ros.process.stopping import StopRequestedError
+from cloth_sim_ros.verify.run import verify
+
+#: A ball beside the hanging cloth, and a TF frame at (x, 0, 0) on the other side.
+BALL: dict[str, Any] = {
+    "obstacles": ["ball"],
+    "ball.shape": "sphere",
+    "ball.size": [0.1],
+    "ball.position": [-2.0, 0.0, 1.0],
+    "ball.frame": "mocap",
+}
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:
+    with Client() as client:
+        yield client
+
+
+def ball_of(cloth: ClockedCloth) -> np.ndarray:
+    assert cloth.simulation.obstacles is not None
+    return cloth.simulation.obstacles.poses()[0]
+
+
+def test_obstacle_starts_at_its_tf_frame(client: Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    x_of = {"mocap": 2.0}
+    stub_tf2(monkeypatch, x_of)
+    recorded = {"record.enabled": True, "record.folder": str(tmp_path)}
+    with ClockedCloth(client, {**BALL, **recorded}) as cloth:
+        assert list(ball_of(cloth)) == [2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        cloth.tick(3)
+        assert list(ball_of(cloth)) == [2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        x_of["mocap"] = 2.01
+        cloth.tick(3)
+        assert ball_of(cloth)[0] == pytest.approx(2.01)
+    (path,) = tmp_path.glob("*.mcap")
+    verdict = verify([path])
+    assert verdict.same, verdict
+
+
+def test_start_waits_for_frames_of_obstacles(
+    client: Client, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    x_of: dict[str, float] = {}
+    stub_tf2(monkeypatch, x_of)
+    timer = threading.Timer(0.6, x_of.update, [{"mocap": 2.0}])
+    timer.start()
+    with ClockedCloth(client, BALL) as cloth:
+        assert ball_of(cloth)[0] == 2.0
+    timer.join()
+    text = "waiting for the TF frames of obstacles: 'ball' follows frame 'mocap': no transform from 'mocap' to"
+    assert text in capfd.readouterr().err
+
+
+def test_signal_ends_the_wait_for_frames(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch, {})
+    with pytest.raises(StopRequestedError, match="SIGINT"):
+        ClockedCloth(client, BALL, signal_name=lambda: "SIGINT")
+
+
+def test_frame_in_the_cloth_refuses_the_start(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch, {"mocap": 0.0})
+    lying = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "cloth.position": [0.0, 0.0, 0.0]}
+    with pytest.raises(ValueError, match=r"the cloth as it starts .*'ball'"):
+        ClockedCloth(client, {**BALL, **lying})
+
+
+def test_start_without_tf2_leaves_obstacles_in_place(
+    client: Client, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    with ClockedCloth(client, BALL) as cloth:
+        cloth.tick(2)
+        assert ball_of(cloth)[0] == -2.0
+    assert "'ball' can't follow frame 'mocap'" in capfd.readouterr().err
+
+
+def test_live_frame_moves_the_obstacle_there(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch, {"mocap": -1.98})
+    with ClockedCloth(client, {**BALL, "ball.frame": "", "ball.position": [-2.0, 0.0, 0.0]}) as cloth:
+        cloth.tick()
+        cloth.node.node.set_parameters([Parameter("ball.frame", value="mocap")])
+        cloth.tick(4)
+        assert ball_of(cloth)[0] == pytest.approx(-1.98)
