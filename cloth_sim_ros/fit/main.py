@@ -349,11 +349,13 @@ def _read_sessions(options: argparse.Namespace, scene: Scene | None) -> list[Fit
 def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     from cloth_sim_ros.fit.parameters import FitError
 
-    pairs = {}
+    pairs: dict[str, str] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not (name and equals and value):
             raise FitError(f"{option} is '{text}'; write NAME=VALUE")
+        if name in pairs:
+            raise FitError(f"{option} names '{name}' twice, as '{pairs[name]}' and as '{value}'; give it once")
         pairs[name] = value
     return pairs
 

@@ -137,3 +137,18 @@ def test_option_of_another_kind_of_recording_is_refused(
     arguments = [recording, "--scene", "scene.yaml", "--parameters", "stretch", *option]
     assert fit_main.main(arguments) == fit_main.REFUSED
     assert capsys.readouterr().err.startswith(f"cloth_fit: {reason}")
+
+
+@pytest.mark.parametrize("option", ["--pose", "--held", "--offset", "--start"])
+def test_name_given_twice_is_refused(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_bag, "read_recording", lambda *_, **__: pytest.fail("a recording was read"))
+    monkeypatch.chdir(tmp_path)
+    Path("swing.csv").write_text("x")
+    Path("scene.yaml").write_text("/**: {ros__parameters: {}}")
+    pairs = [option, "left=1.0", option, "left=2.0"]
+    arguments = ["swing.csv", "--scene", "scene.yaml", "--parameters", "stretch", *pairs]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    reason = f"{option} names 'left' twice, as '1.0' and as '2.0'; give it once"
+    assert capsys.readouterr().err.startswith(f"cloth_fit: {reason}")
