@@ -16,6 +16,7 @@ from cloth_sim_ros import Scene
 from cloth_sim_ros.fit import bag as fit_bag
 from cloth_sim_ros.fit import main as fit_main
 from cloth_sim_ros.fit.files import write_parameters
+from cloth_sim_ros.fit.parameters import FitError
 
 pytest.importorskip("mcap")
 
@@ -137,6 +138,40 @@ def test_option_of_another_kind_of_recording_is_refused(
     arguments = [recording, "--scene", "scene.yaml", "--parameters", "stretch", *option]
     assert fit_main.main(arguments) == fit_main.REFUSED
     assert capsys.readouterr().err.startswith(f"cloth_fit: {reason}")
+
+
+def test_recording_given_twice_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_bag, "read_recording", lambda *_, **__: pytest.fail("a recording was read"))
+    monkeypatch.chdir(tmp_path)
+    Path("swing.csv").write_text("x")
+    Path("link.csv").symlink_to("swing.csv")
+    Path("scene.yaml").write_text("/**: {ros__parameters: {}}")
+    arguments = ["--scene", "scene.yaml", "--parameters", "stretch"]
+    assert fit_main.main(["swing.csv", "link.csv", *arguments]) == fit_main.REFUSED
+    reason = "'link.csv' is the recording 'swing.csv'; give each recording once"
+    assert capsys.readouterr().err == f"cloth_fit: {reason}\n"
+
+
+def test_several_folders_of_bags_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = list[str]()
+
+    def read(paths: list[Path], *_: Any, **__: Any) -> None:
+        names.extend(path.name for path in paths)
+        if len(names) == 2:
+            raise FitError("both were read")
+
+    part = SimpleNamespace(since=lambda _: part, part=lambda **_: part)
+    monkeypatch.setattr(fit_bag, "read_recording", lambda *values, **options: read(*values, **options) or part)
+    folders = [tmp_path / name for name in ("first", "second")]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "bag_0.mcap").write_bytes(b"")
+    (tmp_path / "scene.yaml").write_text("/**: {ros__parameters: {}}")
+    arguments = [*map(str, folders), "--scene", str(tmp_path / "scene.yaml"), "--parameters", "stretch"]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    assert names == ["first", "second"]
 
 
 @pytest.mark.parametrize("option", ["--pose", "--held", "--offset", "--start"])
