@@ -29,6 +29,12 @@ def test_cantilever_has_the_bending_length_of_the_modulus(sample: FabricSample) 
         assert measurement.ratio == pytest.approx(1.0, abs=limit), measurement
 
 
+def test_cantilever_of_a_shape_operator_has_the_bending_length() -> None:
+    sample = read_sample("cotton_twill", {"bending.model": "shape_operator"})
+    lengths = [entry.ratio for entry in measure_cantilever(sample, cells=3) if entry.quantity == "bending length"]
+    assert lengths == pytest.approx([1.0, 1.0], abs=0.01)
+
+
 def test_cantilever_error_falls_with_the_cells(sample: FabricSample) -> None:
     exact = (sample.warp_and_weft("material.bending_modulus")[0] / (sample.density * 9.81)) ** (1.0 / 3.0)
     coarse, fine = (cantilever(sample, 0.0, cells=cells).bending_length / exact - 1.0 for cells in (2, 4))
