@@ -406,6 +406,9 @@ def _report(fit: Fit | MotionFit, options: argparse.Namespace) -> None:
     if options.write is not None:
         identified = files.write_parameters(fit, options.write)
         print(f"\n{options.write}: the scene with {', '.join(identified) or 'nothing new'}")
+        if absent := files.absent_files(fit, options.write):
+            origin = "from the folder of --scene" if options.scene else "the session has it as attachment file:NAME"
+            print(f"  It names {', '.join(absent)}, absent from its folder: copy each there ({origin}).")
     if options.plot is not None:
         files.write_plot(fit, options.plot) if isinstance(fit, Fit) else motions_files.write_plot(fit, options.plot)
 

@@ -14,7 +14,9 @@ import pytest
 
 from cloth_sim_ros import Scene
 from cloth_sim_ros.fit import bag as fit_bag
+from cloth_sim_ros.fit import files as fit_files
 from cloth_sim_ros.fit import main as fit_main
+from cloth_sim_ros.fit import motions_text
 from cloth_sim_ros.fit.files import write_parameters
 from cloth_sim_ros.fit.parameters import FitError
 
@@ -75,6 +77,20 @@ def test_pipe_among_recordings_is_refused(
     arguments = [str(first), str(pipe), "--scene", str(scene), "--parameters", "stretch"]
     assert fit_main.main(arguments) == fit_main.REFUSED
     assert "b.mcap is a device or a pipe" in capsys.readouterr().err
+
+
+def test_files_absent_beside_the_written_scene_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "there.obj").write_text("x")
+    scene = SimpleNamespace(files={"hung.npz": b"", "there.obj": b""})
+    monkeypatch.setattr(fit_files, "write_parameters", lambda *_: ["material.damping"])
+    monkeypatch.setattr(motions_text, "describe_motions", lambda _: "")
+    monkeypatch.setattr(fit_main, "_fit", lambda _: SimpleNamespace(scene=scene, all_identified=True))
+    out = tmp_path / "fitted.yaml"
+    assert fit_main.main([str(tmp_path / "s.mcap"), "--parameters", "damping", "--write", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "It names hung.npz, absent from its folder: copy each there (the session has it as attachment" in text
 
 
 def test_name_that_is_not_utf_8_is_escaped_in_scene(tmp_path: Path) -> None:
