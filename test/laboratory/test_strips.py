@@ -75,6 +75,18 @@ def test_bias_extension_shears() -> None:
     assert kinematic.ratio < 0.6
 
 
+def test_bias_extension_of_stiff_threads_is_shear() -> None:
+    _, kinematic, *_ = measure_bias_extension(read_sample("polyester_tablecloth"))
+    assert kinematic.ratio == pytest.approx(1.0, abs=0.06)
+
+
+def test_bias_modulus_of_springs_has_their_poisson_ratio() -> None:
+    values = {"membrane.model": "springs", "material.stretch_modulus": 200.0, "material.stretch_modulus_weft": 200.0}
+    fabric = read_sample("denim", {**values, "material.shear_modulus": 40.0, "material.poisson_ratio": 0.9})
+    laminate = measure_bias_extension(fabric, cells=4)[0].stated
+    assert laminate == pytest.approx(4.0 / (2.0 / 200.0 - 2.0 * 0.1926 / 200.0 + 1.0 / 40.0), rel=1e-3)
+
+
 def test_table_has_measured_and_stated_value() -> None:
     text = describe("Title", [Measurement(quantity="length", direction="warp", unit="m", measured=2.0, stated=4.0)])
     assert text.splitlines()[0] == "Title"
