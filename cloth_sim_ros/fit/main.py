@@ -194,9 +194,9 @@ def _check_distinct(paths: Sequence[Path]) -> None:
     """Raise FitError if a recording is given twice: a copy would count as an independent motion."""
     from cloth_sim_ros.fit.parameters import FitError
 
-    given = dict[Path, Path]()
+    paths_by_file = dict[Path, Path]()
     for path in paths:
-        first = given.setdefault(path.resolve(), path)
+        first = paths_by_file.setdefault(path.resolve(), path)
         if first is not path:
             raise FitError(f"'{path}' is the recording '{first}'; give each recording once")
 

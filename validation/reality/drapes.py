@@ -143,8 +143,8 @@ def run(options: argparse.Namespace) -> Report:
         sample, seeds = common.sample(fabric, best), range(options.specimens)
         at_best = drape_series(sample, test, seeds=seeds, with_mesh_error=has_mesh_error)
         row = [*curves[fabric], at_best.coefficient, real[fabric]]
-        of_its_own = common.fitted(curves, {fabric: real[fabric]})
-        table.rows.append([fabric, *(100.0 * value for value in row), of_its_own, at_best.nodes])
+        single_fit = common.fitted(curves, {fabric: real[fabric]})
+        table.rows.append([fabric, *(100.0 * value for value in row), single_fit, at_best.nodes])
         text = f"{fabric}, {common.name} {best:.3g}: {100 * at_best.coefficient:.1f} %"
         if has_mesh_error:
             error = at_best.mesh_error or 0.0
