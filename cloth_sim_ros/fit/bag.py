@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -176,8 +176,9 @@ def _read(
         ]
     if not read:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_name}")
-    cloud_times = _message_times([(stamp, log_time) for stamp, log_time, _ in read])
-    stamped = sorted(zip(cloud_times, (cloud for _, _, cloud in read), strict=True), key=lambda entry: entry[0])
+    cloud_times = _message_times([(stamp, log_time) for stamp, log_time, _, _ in read])
+    stamped = sorted(zip(cloud_times, (cloud for *_, cloud in read), strict=True), key=lambda entry: entry[0])
+    cloud_frames = frozenset[str]() if accepts_any_frame else frozenset(name for _, _, name, _ in read if name)
     start = stamped[0][0]
     distinct = [entry for k, entry in enumerate(stamped) if not k or entry[0] > stamped[k - 1][0]]
     return Recording(
@@ -185,7 +186,8 @@ def _read(
         times=np.array([stamp - start for stamp, _ in distinct], dtype=np.int64) * 1e-9,
         clouds=tuple(cloud for _, cloud in distinct),
         grippers={
-            name: _read_track(paths, messages_by_topic, name, source, start, scale) for name, source in sources.items()
+            name: _read_track(paths, messages_by_topic, name, source, start, scale, cloud_frames)
+            for name, source in sources.items()
         },
         matched=matched,
     )
@@ -199,8 +201,8 @@ def _read_table_track(gripper: str, source: str | None, start: float, scale: flo
 
 def _read_fields(
     paths: Sequence[Path], topic: str, field: str, index_field: str, count: int, matched: bool
-) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
-    """Yield stamp and log time [ns], and points [m] of each message of a topic, by the names of its fields."""
+) -> Iterator[tuple[int, int, str, NDArray[np.float64]]]:
+    """Yield stamp and log time [ns], frame, and points [m] of each message of a topic, by the names of its fields."""
     if index_field:
         message_fields.check_field(index_field)
     for log_time, message in message_fields.topic_messages(paths, topic):
@@ -215,7 +217,7 @@ def _read_fields(
             if wrong:
                 raise FitError(f"field '{index_field}' names particle {wrong[0]}; there are {count}, from index 0")
             points = _order_points(points, indices, count)
-        yield message_fields.stamp_of(message), log_time, points
+        yield message_fields.stamp_of(message), log_time, message_fields.frame_of(message), points
 
 
 def _message_times(times: Sequence[tuple[int, int]]) -> list[int]:
@@ -261,8 +263,12 @@ def _read_track(
     requested: str | None,
     start: int,
     scale: float,
+    cloud_frames: Set[str],
 ) -> RecordedGripper:
-    """Return a gripper's recorded poses and grasps; times count from `start` [ns]. Raises FitError without poses."""
+    """Return a gripper's recorded poses and grasps; times count from `start` [ns].
+
+    Raises FitError without poses, and for poses in another frame than the clouds.
+    """
     if requested is not None and tables.is_table(Path(requested)):
         return tables.read_track(Path(requested), 1e-9 * start, scale=scale)
     from cloth_sim_ros.session.cdr import decode
@@ -270,10 +276,18 @@ def _read_track(
     read = list(_read_poses(paths, messages_by_topic, gripper, requested))
     if not read:
         raise FitError(f"{paths[0]} holds no pose of gripper '{gripper}' on {requested}")
-    stamps = _message_times([(stamp, log_time) for stamp, log_time, _ in read])
-    poses = [pose for _, _, pose in read]
+    frames = sorted({name for _, _, name, _ in read if name})
+    if len(frames) > 1:
+        raise FitError(f"the poses of gripper '{gripper}' are in several frames: {', '.join(frames)}; transform them")
+    if frames and cloud_frames and frames[0] not in cloud_frames:
+        raise FitError(
+            f"the poses of gripper '{gripper}' are in frame '{frames[0]}', the clouds in '{min(cloud_frames)}'; give "
+            "--camera-pose, or transform them"
+        )
+    stamps = _message_times([(stamp, log_time) for stamp, log_time, _, _ in read])
+    poses = [pose for *_, pose in read]
     # Grasps have no stamp. Their log times are of another clock if the robot's time is simulated.
-    delays = sorted(stamp - log_time for stamp, (_, log_time, _) in zip(stamps, read, strict=True))
+    delays = sorted(stamp - log_time for stamp, (_, log_time, *_) in zip(stamps, read, strict=True))
     delay = delays[len(delays) // 2]
     grasps = [
         (1e-9 * (time + delay - start), bool(decode(data, _BOOL).data))
@@ -296,8 +310,8 @@ def _read_poses(
     messages_by_topic: Mapping[str, tuple[str, list[tuple[int, bytes]]]],
     gripper: str,
     requested: str | None,
-) -> Iterator[tuple[int, int, list[float]]]:
-    """Yield stamp and log time [ns], and position [m] and quaternion of each pose of a gripper."""
+) -> Iterator[tuple[int, int, str, list[float]]]:
+    """Yield stamp and log time [ns], frame, and position [m] and quaternion of each pose of a gripper."""
     from cloth_sim_ros.session.cdr import decode
 
     topic, field = message_fields.split_topic(requested) if requested is not None else (None, "")
@@ -321,13 +335,13 @@ def _read_poses(
         pose = message_fields.pose_of(message, field)
         if not np.isfinite(pose).all() or not any(pose[3:]):
             raise FitError(f"a pose on {topic} is {pose}; it must be finite, with a unit quaternion")
-        yield message_fields.stamp_of(message), time, pose
+        yield message_fields.stamp_of(message), time, message_fields.frame_of(message), pose
 
 
 def _read_cloud(
     data: bytes, time: int, frame: str | None, count: int, matched: bool, index_field: str
-) -> tuple[int, int, NDArray[np.float64]]:
-    """Return stamp and log time [ns], and points [m] of a cloud: of a matched one a row for each particle."""
+) -> tuple[int, int, str, NDArray[np.float64]]:
+    """Return stamp and log time [ns], frame, and points [m] of a cloud: of a matched one a row for each particle."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
 
     cloud = decode_cloud(data)
@@ -336,14 +350,14 @@ def _read_cloud(
         raise FitError(f"a cloud is given {frames}; give --camera-pose, transform it, or set frame_id")
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
-        return cloud.stamp, time, points[visible_mask(points)]
+        return cloud.stamp, time, cloud.frame_id, points[visible_mask(points)]
     indices = _read_indices(decode(data, _CLOUD), index_field)
     if indices is None:
-        return cloud.stamp, time, points
+        return cloud.stamp, time, cloud.frame_id, points
     wrong = np.flatnonzero((indices < 0) | (indices >= count))
     if wrong.size:
         raise FitError(f"a point of a cloud names particle {indices[wrong[0]]}; there are {count}, from index 0")
-    return cloud.stamp, time, _order_points(points, indices, count)
+    return cloud.stamp, time, cloud.frame_id, _order_points(points, indices, count)
 
 
 def _order_points(points: NDArray[np.float64], indices: ArrayLike, count: int) -> NDArray[np.float64]:

@@ -108,6 +108,11 @@ def write_parameters(fit: Fit | MotionFit, path: Path) -> list[str]:
     return [estimate.parameter.name for estimate in identified]
 
 
+def absent_files(fit: Fit | MotionFit, path: Path) -> list[str]:
+    """Return the names of the scene's files that are absent from the folder of a written parameter file."""
+    return [name for name in fit.scene.files if not (path.parent / name).exists()]
+
+
 def write_plot(fit: Fit, path: Path) -> None:
     """Write a PNG of the residuals over time, before and after the fit, and of their distribution."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -182,11 +182,23 @@ def _fit(options: argparse.Namespace) -> Fit | MotionFit:
         raise FitError(f"--every is {options.every}; give 1 or more")
     if options.until is not None and not options.until > 0.0:
         raise FitError(f"--until is {options.until:g} s; it must be above 0")
+    _check_distinct(options.session)
     names = [name.strip() for name in options.parameters.split(",") if name.strip()]
     start = {name: _parse_number(value, f"--start {name}") for name, value in _pairs(options.start, "--start").items()}
     prepared = _prepare_fit(options, names, start)
     with tqdm(unit=" simulations", desc="fit", delay=1.0, disable=None, leave=False) as bar:
         return prepared(bar.update)
+
+
+def _check_distinct(paths: Sequence[Path]) -> None:
+    """Raise FitError if a recording is given twice: a copy would count as an independent motion."""
+    from cloth_sim_ros.fit.parameters import FitError
+
+    paths_by_file = dict[Path, Path]()
+    for path in paths:
+        first = paths_by_file.setdefault(path.resolve(), path)
+        if first is not path:
+            raise FitError(f"'{path}' is the recording '{first}'; give each recording once")
 
 
 def _prepare_fit(
@@ -240,7 +252,8 @@ def _prepare_real(
         raise FitError(f"{options.session[0]} {cause}; describe the cloth by --scene")
     for path in options.session[1:]:
         # `is_session` has checked the first file. Opening a pipe would wait for its writer.
-        open_file(path).close()
+        if not path.is_dir():
+            open_file(path).close()
     poses, held = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
     scale = 1.0 if options.scale is None else options.scale
     if not 0.0 < scale < math.inf:
@@ -349,11 +362,13 @@ def _read_sessions(options: argparse.Namespace, scene: Scene | None) -> list[Fit
 def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     from cloth_sim_ros.fit.parameters import FitError
 
-    pairs = {}
+    pairs: dict[str, str] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not (name and equals and value):
             raise FitError(f"{option} is '{text}'; write NAME=VALUE")
+        if name in pairs:
+            raise FitError(f"{option} names '{name}' twice, as '{pairs[name]}' and as '{value}'; give it once")
         pairs[name] = value
     return pairs
 
@@ -391,6 +406,9 @@ def _report(fit: Fit | MotionFit, options: argparse.Namespace) -> None:
     if options.write is not None:
         identified = files.write_parameters(fit, options.write)
         print(f"\n{options.write}: the scene with {', '.join(identified) or 'nothing new'}")
+        if absent := files.absent_files(fit, options.write):
+            origin = "from the folder of --scene" if options.scene else "the session has it as attachment file:NAME"
+            print(f"  It names {', '.join(absent)}, absent from its folder: copy each there ({origin}).")
     if options.plot is not None:
         files.write_plot(fit, options.plot) if isinstance(fit, Fit) else motions_files.write_plot(fit, options.plot)
 

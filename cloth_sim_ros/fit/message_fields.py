@@ -190,3 +190,8 @@ def stamp_of(message: Any) -> int:
     """Return the stamp of a message's header [ns]; 0 if it has none."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return int(stamp.sec) * 10**9 + int(stamp.nanosec) if stamp is not None else 0
+
+
+def frame_of(message: Any) -> str:
+    """Return the frame of a message's header; empty if it has none."""
+    return str(getattr(getattr(message, "header", None), "frame_id", ""))

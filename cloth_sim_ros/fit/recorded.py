@@ -121,8 +121,14 @@ class Recording:
             raise FitError(f"{self.name} has {len(self.times)} times for {len(self.clouds)} clouds")
         if not len(self.clouds):
             raise FitError(f"{self.name} holds no cloud")
-        if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0.0).all()):
-            raise FitError(f"{self.name}: the times of the clouds must be finite and ascending")
+        is_wrong = ~np.isfinite(self.times)
+        is_wrong[1:] |= ~(np.diff(self.times) > 0.0)
+        if is_wrong.any():
+            k = int(np.argmax(is_wrong))
+            after = f" after {self.times[k - 1]:g} s" if k else ""
+            raise FitError(
+                f"{self.name}: cloud {k} has the time {self.times[k]:g} s{after}; times must be finite and ascending"
+            )
         for time, cloud in zip(self.times, self.clouds, strict=True):
             farthest = float(np.max(np.abs(cloud), initial=0.0, where=np.isfinite(cloud)))
             if farthest > MAX_COORDINATE:

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from cloth_sim_ros.fit.parameters import FitError
-from cloth_sim_ros.session.child_process import overrides, safe_imports
+from cloth_sim_ros.session.child_process import exit_with_parent, overrides, safe_imports
 
 if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
@@ -82,14 +82,18 @@ class RunPool:
             with safe_imports():
                 if self._pool is None:
                     # The standard library's processes would run the user's program again at their start.
-                    settings = {"initializer": _start_worker, "initargs": (self._initializer, self._arguments)}
+                    settings = {
+                        "initializer": _start_worker,
+                        "initargs": (os.getpid(), self._initializer, self._arguments),
+                    }
                     self._pool = ProcessPoolExecutor(self.workers, **settings, env=overrides())
                 return list(self._pool.map(function, jobs))
         except BrokenProcessPool as error:
             raise FitError("a worker process was killed, possibly out of memory; use --workers 1") from error
 
 
-def _start_worker(initializer: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+def _start_worker(parent: int, initializer: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    exit_with_parent(parent)
     # Ctrl-C reaches all processes. The parent process stops its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if initializer is not None:

@@ -48,7 +48,8 @@ def motion_weights(information: Array, gradient: Array) -> Array:
         values, vectors = np.linalg.eigh(matrix)
         known = values > _MIN_EIGENVALUE * max(float(values[-1]), np.finfo(float).tiny)
         square = float((np.square(vectors.T @ vector)[known] / values[known]).sum())
-        square += float(np.einsum("ij,ij", inverse, matrix))
+        # Products of two sets of slopes may be negative where their short waves exceed the rest.
+        square += max(float(np.einsum("ij,ij", inverse, matrix)), 0.0)
         weights[k] = (_MOTION_FREEDOM + known.sum()) / (_MOTION_FREEDOM + square)
     return weights
 

@@ -17,9 +17,9 @@ from cloth_sim_ros.fit.grasped import (
     find_grasped_at_rest,
     parse_all_grasped,
 )
-from cloth_sim_ros.fit.motion import GripperPath, check_grippers_rest, check_rest
+from cloth_sim_ros.fit.motion import GripperPath, check_grippers_rest, check_rest, moving_speed
 from cloth_sim_ros.fit.parameters import FitError
-from cloth_sim_ros.fit.recorded import MAX_DURATION, RecordedGripper, Recording
+from cloth_sim_ros.fit.recorded import MAX_DURATION, MAX_POSE_GAP, RecordedGripper, Recording
 from cloth_sim_ros.fit.recording import FitRecording, visible_mask
 from cloth_sim_ros.fit.screening import MAX_SCALE, MIN_SCALE, size_ratio
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -98,10 +98,11 @@ def motion_recording(
         max_offset: largest time offset of the clouds [s].
 
     Raises:
-        FitError: if a gripper moves at the start.
+        FitError: if a gripper moves at the start, or its poses begin or end while it moves, far from the clouds' times.
     """
     n_settle_frames = settle_frame_count(scene, settle_time)
     start = start_time(recording, scene, max_offset)
+    _check_coverage(recording, scene, max_offset)
     frames = n_settle_frames + (recording.times - start) * scene.rate
     n_frames = int(np.ceil(frames[-1] + max_offset * scene.rate - 1e-9))
     grasping = [selection.gripper for selection in selections]
@@ -155,6 +156,27 @@ def start_time(recording: Recording, scene: Scene, max_offset: float) -> float:
     raise FitError(
         f"{recording.name}: {error}. Begin the recording before the robot moves, or start by --from when it hangs still"
     )
+
+
+def _check_coverage(recording: Recording, scene: Scene, max_offset: float) -> None:
+    """Raise FitError if a closed gripper's poses begin after the first cloud, or end before the last, in motion."""
+    for name, track in recording.grippers.items():
+        if scene.pinches(name):
+            continue
+        first, last = float(track.times[0]), float(track.times[-1])
+        backwards = GripperPath(times=last - track.times[::-1], positions=track.positions[::-1])
+        for seconds, end, path, text, option in (
+            (first - recording.times[0], first, gripper_path(track, first), "begin {:.2f} s after the first", "--from"),
+            (recording.times[-1] - last, last, backwards, "end {:.2f} s before the last", "--until"),
+        ):
+            if seconds <= MAX_POSE_GAP + max_offset or not track.is_closed(end):
+                continue
+            speed = moving_speed(path)
+            if speed:
+                raise FitError(
+                    f"{recording.name}: the poses of gripper '{name}' {text.format(seconds)} cloud, and it moves at "
+                    f"{1e3 * speed:.0f} mm/s there: poses are missing. Record them all, or omit clouds by {option}"
+                )
 
 
 def closed_grippers(

@@ -8,6 +8,7 @@ import csv
 import io
 import math
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -50,6 +51,8 @@ def parse_columns(text: str) -> dict[str, str]:
             raise FitError(f"--columns has '{entry}'; write it as time=t,particle=id,x=X,y=Y,z=Z")
         if name not in (*_COLUMNS, *_ARRAYS):
             raise FitError(f"--columns has the unknown name '{name}'; known are {', '.join((*_COLUMNS, *_ARRAYS))}")
+        if name in names:
+            raise FitError(f"--columns names '{name}' twice, as '{names[name]}' and as '{column}'; give it once")
         names[name] = column
     return names
 
@@ -142,6 +145,8 @@ def _read_arrays(
             f"times have the shape {times.shape} and points {points.shape}; they must be (clouds,) and "
             "(clouds, points, 3)"
         )
+    if not len(times):
+        raise FitError("the table has no cloud")
     if matched and points.shape[1] != count:
         raise FitError(f"points have {points.shape[1]} particles; the scene has {count}")
     return times, [points[k] if matched else points[k][np.isfinite(points[k]).all(axis=1)] for k in range(len(times))]
@@ -154,14 +159,14 @@ def _read_csv(
     reader = csv.reader(_lines(content), skipinitialspace=True)
     header = [name.strip() for name in next(reader, [])]
     names = {name: columns.get(name, name) for name in _COLUMNS}
-    if names["time"] not in header:
-        raise FitError(f"there is no column '{names['time']}'; there are {_names_text(header)}")
+    used = [names["time"]]
+    _check_columns(header, used, names)
     wide = _wide_columns(header, names) if names["x"] not in header else {}
-    if not wide:
-        needed = [names[name] for name in _COLUMNS if matched or name != "particle"]
-        missing = [name for name in needed if name not in header]
-        if missing:
-            raise FitError(f"there is no column '{missing[0]}'; there are {_names_text(header)}")
+    if wide:
+        used += [key for keys in wide.values() for key in keys]
+    else:
+        used = [names[name] for name in _COLUMNS if matched or name != "particle"]
+    _check_columns(header, used, names)
     if matched and wide and max(wide) >= count:
         raise FitError(f"there are columns of particle {max(wide)}; there are {count}, from index 0")
     clouds = dict[float, _CloudRows]()
@@ -189,6 +194,26 @@ def _read_csv(
     return np.array(list(clouds)), [rows.to_array() for rows in clouds.values()]
 
 
+def _check_columns(header: Sequence[str], used: Sequence[str], names: Mapping[str, str]) -> None:
+    """Raise FitError unless a table has each used column once, and each column is used once.
+
+    Args:
+        header: columns of the table.
+        used: columns that are read.
+        names: columns by the names of `--columns`.
+    """
+    counts, uses = Counter(header), Counter(used)
+    for column in used:
+        if not counts[column]:
+            known = [name for name, renamed in names.items() if renamed == column]
+            remedy = f"; name it by --columns {known[0]}=COLUMN" if known else ""
+            raise FitError(f"there is no column '{column}'; there are {_names_text(header)}{remedy}")
+        if counts[column] > 1:
+            raise FitError(f"the column '{column}' stands {counts[column]} times; rename or remove the others")
+        if uses[column] > 1:
+            raise FitError(f"--columns uses the column '{column}' {uses[column]} times; name a column for each")
+
+
 def _lines(content: bytes) -> Iterator[str]:
     """Yield the lines of a text in UTF-8, without a byte order mark. Raises FitError for other bytes.
 
@@ -197,7 +222,7 @@ def _lines(content: bytes) -> Iterator[str]:
     try:
         yield from io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FitError(f"is no text in UTF-8: {error}") from error
+        raise FitError(f"is no text in UTF-8: {error}; save it in UTF-8") from error
 
 
 class _CloudRows:

@@ -70,7 +70,7 @@ def verdict(estimate: Estimate, within: float) -> str:
     if estimate.is_at_limit:
         return "NOT IDENTIFIED: at the limit of the search range"
     if not estimate.is_explained:
-        return "NOT IDENTIFIED: the simulated cloth does not follow the recording"
+        return "NOT IDENTIFIED: the fit is in doubt"
     if not estimate.has_interval:
         return "NOT IDENTIFIED: too few motions for an interval"
     if estimate.has_few_motions and estimate.bound <= within:

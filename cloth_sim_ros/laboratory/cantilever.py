@@ -78,7 +78,7 @@ def cantilever(sample: FabricSample, angle: float, *, cells: int = CELLS) -> Can
         overhang = math.exp(math.log(overhang) + step)
     raise LaboratoryError(
         f"no overhang from {_MIN_OVERHANG:g} to {_MAX_OVERHANG:g} m bends the strip to {math.degrees(TIP_ANGLE):g} "
-        "degrees; check bending_modulus and density of the fabric"
+        "degrees; check bending.model, bending_modulus and density of the fabric"
     )
 
 

@@ -11,6 +11,11 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Sine of the angle between warp and axis of a grid, below which they are the same direction.
 _ALIGNED_SINE = 1e-9
+#: Models in which a quantity's threads may have any direction.
+_OBLIQUE_MODELS = {
+    "material.stretch_modulus": "membrane.model 'triangles'",
+    "material.bending_modulus": "bending.model 'shape_operator'",
+}
 
 
 class MaterialScene(Protocol):
@@ -71,8 +76,9 @@ def along_grid(scene: MaterialScene, warp_and_weft: tuple[float, float], names: 
         )
     if not is_oblique(scene):
         return (weft, warp) if y > x else (warp, weft)
+    model = f", or choose {_OBLIQUE_MODELS[names]}" if names in _OBLIQUE_MODELS else ""
     raise ParameterError(
         f"material.warp_direction is {list(scene.material.warp_direction)}, and {names} is {warp} along the warp and "
         f"{weft} along the weft; a grid's springs follow its rows and columns: set the direction along one of them, "
-        "e.g. [0.0, 1.0, 0.0], or both equal"
+        f"e.g. [0.0, 1.0, 0.0], or both equal{model}"
     )

@@ -11,9 +11,13 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
+import time
 from collections.abc import Iterator
 
 _SAFE, _PATH = "PYTHONSAFEPATH", "PYTHONPATH"
+#: Interval at which a child looks for its parent [s].
+_POLL_SECONDS = 0.25
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
@@ -48,3 +52,18 @@ def safe_imports() -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def exit_with_parent(parent: int) -> None:
+    """Start a thread that ends this process as soon as its parent has ended, which SIGKILL may have ended.
+
+    Args:
+        parent: process id of the parent.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_POLL_SECONDS)
+        os._exit(0)
+
+    threading.Thread(target=watch, daemon=True).start()

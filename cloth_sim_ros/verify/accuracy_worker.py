@@ -16,7 +16,6 @@ import math
 import os
 import pickle
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +23,7 @@ from typing import Any
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import exit_with_parent
 from cloth_sim_ros.simulation.events import Event
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.certificate import AccuracyWindow, FrameAccuracy
@@ -33,13 +33,11 @@ from cloth_sim_ros.verify.reference_solution import ReferenceSolution, later_amp
 
 #: Niceness, so that the simulation has priority.
 _NICENESS = 10
-#: Poll interval of the parent process [s].
-_POLL_SECONDS = 0.25
 
 
 def main(arguments: Sequence[str]) -> int:
     """Print a line of JSON for each pickled window on standard input; return 0 when it ends, exit with the parent."""
-    threading.Thread(target=_exit_with_parent, args=(int(arguments[0]),), daemon=True).start()
+    exit_with_parent(int(arguments[0]))
     os.nice(_NICENESS)
     scene: Scene | None = None
     try:
@@ -124,12 +122,6 @@ def _window(frames: Sequence[SimulatedFrame], *, measure_amplification: bool) ->
             )
         )
     return window
-
-
-def _exit_with_parent(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_POLL_SECONDS)
-    os._exit(0)
 
 
 if __name__ == "__main__":

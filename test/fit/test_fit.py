@@ -149,7 +149,7 @@ def test_misfit_identifies_no_parameter(tmp_path: Path, capsys: pytest.CaptureFi
     assert not written["all_identified"]
     assert old_keys.add_old_keys(written, old_keys.FIT) == written
     assert status == fit_main.NOT_IDENTIFIED
-    assert "NOT IDENTIFIED: the simulated cloth does not follow the recording" in output
+    assert "NOT IDENTIFIED: the fit is in doubt" in output
     assert "follows only a part of the recording" in written["doubt"]
     assert "No parameter is identified: " in output
     assert parameter_file.read(out["yaml"])["material.bending_modulus"] == TRUTH["material.bending_modulus"]

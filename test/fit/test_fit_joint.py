@@ -95,6 +95,13 @@ def test_motion_with_far_gradient_gets_small_weight():
     assert np.delete(weights, 7).mean() == pytest.approx(1.0, abs=0.3)
 
 
+def test_weights_of_unpredictable_motions_are_positive():
+    # Products of slopes whose short waves are independent may be negative.
+    information = np.array([1.0, 1.0, 1.0, 1.0, -3.9]).reshape(5, 1, 1)
+    weights = motion_weights(information, np.ones((5, 1)))
+    assert (weights > 0.0).all()
+
+
 def test_single_motion_keeps_its_weight():
     # Its gradient vanishes at the minimum, whatever the noise.
     assert motion_weights(np.diag([4.0, 9.0])[None], np.zeros((1, 2))) == pytest.approx([1.0])

@@ -14,8 +14,11 @@ import pytest
 
 from cloth_sim_ros import Scene
 from cloth_sim_ros.fit import bag as fit_bag
+from cloth_sim_ros.fit import files as fit_files
 from cloth_sim_ros.fit import main as fit_main
+from cloth_sim_ros.fit import motions_text
 from cloth_sim_ros.fit.files import write_parameters
+from cloth_sim_ros.fit.parameters import FitError
 
 pytest.importorskip("mcap")
 
@@ -74,6 +77,20 @@ def test_pipe_among_recordings_is_refused(
     arguments = [str(first), str(pipe), "--scene", str(scene), "--parameters", "stretch"]
     assert fit_main.main(arguments) == fit_main.REFUSED
     assert "b.mcap is a device or a pipe" in capsys.readouterr().err
+
+
+def test_files_absent_beside_the_written_scene_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "there.obj").write_text("x")
+    scene = SimpleNamespace(files={"hung.npz": b"", "there.obj": b""})
+    monkeypatch.setattr(fit_files, "write_parameters", lambda *_: ["material.damping"])
+    monkeypatch.setattr(motions_text, "describe_motions", lambda _: "")
+    monkeypatch.setattr(fit_main, "_fit", lambda _: SimpleNamespace(scene=scene, all_identified=True))
+    out = tmp_path / "fitted.yaml"
+    assert fit_main.main([str(tmp_path / "s.mcap"), "--parameters", "damping", "--write", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "It names hung.npz, absent from its folder: copy each there (the session has it as attachment" in text
 
 
 def test_name_that_is_not_utf_8_is_escaped_in_scene(tmp_path: Path) -> None:
@@ -136,4 +153,53 @@ def test_option_of_another_kind_of_recording_is_refused(
     Path("scene.yaml").write_text("/**: {ros__parameters: {}}")
     arguments = [recording, "--scene", "scene.yaml", "--parameters", "stretch", *option]
     assert fit_main.main(arguments) == fit_main.REFUSED
+    assert capsys.readouterr().err.startswith(f"cloth_fit: {reason}")
+
+
+def test_recording_given_twice_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_bag, "read_recording", lambda *_, **__: pytest.fail("a recording was read"))
+    monkeypatch.chdir(tmp_path)
+    Path("swing.csv").write_text("x")
+    Path("link.csv").symlink_to("swing.csv")
+    Path("scene.yaml").write_text("/**: {ros__parameters: {}}")
+    arguments = ["--scene", "scene.yaml", "--parameters", "stretch"]
+    assert fit_main.main(["swing.csv", "link.csv", *arguments]) == fit_main.REFUSED
+    reason = "'link.csv' is the recording 'swing.csv'; give each recording once"
+    assert capsys.readouterr().err == f"cloth_fit: {reason}\n"
+
+
+def test_several_folders_of_bags_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = list[str]()
+
+    def read(paths: list[Path], *_: Any, **__: Any) -> None:
+        names.extend(path.name for path in paths)
+        if len(names) == 2:
+            raise FitError("both were read")
+
+    part = SimpleNamespace(since=lambda _: part, part=lambda **_: part)
+    monkeypatch.setattr(fit_bag, "read_recording", lambda *values, **options: read(*values, **options) or part)
+    folders = [tmp_path / name for name in ("first", "second")]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "bag_0.mcap").write_bytes(b"")
+    (tmp_path / "scene.yaml").write_text("/**: {ros__parameters: {}}")
+    arguments = [*map(str, folders), "--scene", str(tmp_path / "scene.yaml"), "--parameters", "stretch"]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    assert names == ["first", "second"]
+
+
+@pytest.mark.parametrize("option", ["--pose", "--held", "--offset", "--start"])
+def test_name_given_twice_is_refused(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fit_bag, "read_recording", lambda *_, **__: pytest.fail("a recording was read"))
+    monkeypatch.chdir(tmp_path)
+    Path("swing.csv").write_text("x")
+    Path("scene.yaml").write_text("/**: {ros__parameters: {}}")
+    pairs = [option, "left=1.0", option, "left=2.0"]
+    arguments = ["swing.csv", "--scene", "scene.yaml", "--parameters", "stretch", *pairs]
+    assert fit_main.main(arguments) == fit_main.REFUSED
+    reason = f"{option} names 'left' twice, as '1.0' and as '2.0'; give it once"
     assert capsys.readouterr().err.startswith(f"cloth_fit: {reason}")

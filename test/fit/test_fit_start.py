@@ -10,8 +10,9 @@ import pytest
 from support.motion_samples import RESOLUTION, scene_of
 
 from cloth_sim_ros.fit.hypotheses import selections
+from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
-from cloth_sim_ros.fit.start import hanging_state
+from cloth_sim_ros.fit.start import hanging_state, motion_recording
 
 CORNERS = (0, RESOLUTION - 1)
 #: Noise of a coordinate, and travel of the gripper after its still beginning [m].
@@ -54,6 +55,27 @@ def test_bar_direction_is_the_mean_of_its_still_clouds() -> None:
     mean = np.subtract(*corners.mean(axis=0)[::-1])
     line = held_line(recording)
     assert line / np.linalg.norm(line) == pytest.approx(mean / np.linalg.norm(mean), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("used", "reason"),
+    [
+        (slice(50, None), r"'right' begin 0\.50 s after the first cloud, and it moves at 200 mm/s .* by --from"),
+        (slice(0, 150), r"'right' end 0\.51 s before the last cloud, and it moves at 200 mm/s .* by --until"),
+    ],
+)
+def test_poses_that_lack_a_motion_are_refused(used: slice, reason: str) -> None:
+    scene = scene_of()
+    times = 0.01 * np.arange(201)
+    positions = np.array([0.2, 0.0, 0.0]) * np.maximum(times - 0.3, 0.0)[:, None]
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(times), 1))
+    track = RecordedGripper(times=times, positions=positions, quaternions=turns)
+    part = RecordedGripper(times=times[used], positions=positions[used], quaternions=turns[used])
+    clouds = [scene.initial_positions()] * len(times)
+    whole = Recording(name="swing", times=times, clouds=clouds, grippers={"left": track, "right": track})
+    assert motion_recording(whole, scene, []).n_settle_frames
+    with pytest.raises(FitError, match=reason):
+        motion_recording(attrs.evolve(whole, grippers={"left": track, "right": part}), scene, [])
 
 
 @pytest.mark.parametrize("n_points", [0, RESOLUTION**2])

@@ -138,6 +138,9 @@ def test_arrays_of_numpy_are_read(tmp_path: Path) -> None:
         ("time,x0,y0\n0,1,2\n", "there is a column 'x0', but no column 'z0'"),
         ("time,x7,y7,z7\n0,1,2,3\n", "there are columns of particle 7; there are 4"),
         ("time;x0;y0;z0\n0;1,5;2;3\n", "its columns are separated by semicolons; save it with commas"),
+        ("Time,particle,x,y,z\n0,0,1,2,3\n", "there is no column 'time'; .*; name it by --columns time=COLUMN"),
+        ("time,particle,x,y,z,x\n0,0,1,2,3,9\n", "the column 'x' stands 2 times; rename or remove the others"),
+        ("time,x0,y0,z0,y0\n0,1,2,3,9\n", "the column 'y0' stands 2 times"),
     ],
 )
 def test_faulty_table_is_refused(tmp_path: Path, text: str, reason: str) -> None:
@@ -169,6 +172,17 @@ def test_header_of_a_wide_table_is_searched_once() -> None:
     assert len(tables._wide_columns(header, {"x": "x", "y": "y", "z": "z"})) == 3
 
 
+def test_column_of_two_names_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FitError, match="--columns uses the column 'y' 2 times; name a column for each"):
+        read_clouds(table(tmp_path, LONG), 4, columns={"x": "y"})
+
+
+def test_time_that_goes_back_is_named() -> None:
+    poses = RecordedGripper(times=[0.0], positions=[[0.0] * 3], quaternions=[[0.0, 0.0, 0.0, 1.0]])
+    with pytest.raises(FitError, match=r"back: cloud 2 has the time 0\.1 s after 0\.2 s"):
+        Recording(name="back", times=[0.0, 0.2, 0.1], clouds=[[[0.0] * 3]] * 3, grippers={"left": poses})
+
+
 def test_faulty_arrays_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "clouds.npz"
     with pytest.raises(FitError, match=r"clouds\.npz: .*No such file"):
@@ -182,6 +196,9 @@ def test_faulty_arrays_are_refused(tmp_path: Path) -> None:
     np.savez(path, times=[0.0], points=np.zeros((1, 4)))
     with pytest.raises(FitError, match=r"they must be \(clouds,\) and \(clouds, points, 3\)"):
         read_clouds(path, 4)
+    np.savez(path, times=[], points=np.zeros((0, 4, 3)))
+    with pytest.raises(FitError, match="the table has no cloud"):
+        read_clouds(path, 4)
     np.savez(path, times=[0.0], points=np.zeros((1, 5, 3)))
     with pytest.raises(FitError, match="points have 5 particles; the scene has 4"):
         read_clouds(path, 4)
@@ -191,7 +208,12 @@ def test_faulty_arrays_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"), [("time", "write it as time=t"), ("width=w", "unknown name 'width'; known are time, particle")]
+    ("text", "reason"),
+    [
+        ("time", "write it as time=t"),
+        ("width=w", "unknown name 'width'; known are time, particle"),
+        ("x=a,x=b", "names 'x' twice, as 'a' and as 'b'; give it once"),
+    ],
 )
 def test_faulty_names_of_columns_are_refused(text: str, reason: str) -> None:
     with pytest.raises(FitError, match=reason):
@@ -259,6 +281,38 @@ def test_fields_of_own_messages_are_read(tmp_path: Path, version: int) -> None:
             read_recording([path], SCENE, topic=wrong, poses=poses)
     with pytest.raises(FitError, match="a gripper has one pose"):
         read_recording([path], SCENE, topic=topic, poses={"left": "/mocap:markers[].translation"})
+
+
+@pytest.mark.parametrize(
+    ("frames", "reason"),
+    [
+        (("base", "base"), "the poses of gripper 'left' are in frame 'base', the clouds in 'map'; give --camera-pose"),
+        (("map", "base"), "the poses of gripper 'left' are in several frames: base, map; transform them"),
+    ],
+)
+def test_poses_in_another_frame_are_refused(tmp_path: Path, frames: tuple[str, str], reason: str) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(TYPES)
+    types, name, kind = store.types, "mocap_msgs/msg/Markers", "geometry_msgs/msg/PoseStamped"
+    pose = types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](0.5, 0.0, 1.5),
+        orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+    )
+    with Writer(tmp_path / "real", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        clouds = writer.add_connection("/mocap", name, typestore=store)
+        hand = writer.add_connection("/left/pose", kind, typestore=store)
+        for seconds, frame in zip((100, 101), frames, strict=True):
+            message = markers(store, seconds, {3: (1.0, 2.0, 3.0)})
+            writer.write(clouds, seconds, store.serialize_cdr(message, name))
+            stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=0)
+            head = types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+            writer.write(hand, seconds, store.serialize_cdr(types[kind](header=head, pose=pose), kind))
+    options: dict[str, Any] = {"topic": "/mocap:markers[].translation", "index_field": "markers[].id"}
+    with pytest.raises(FitError, match=reason):
+        read_recording([tmp_path / "real"], SCENE, **options)
+    if frames[0] == frames[1]:
+        identity = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        assert len(read_recording([tmp_path / "real"], SCENE, camera_pose=identity, **options).clouds) == 2
 
 
 def test_forms_of_points_and_poses() -> None:

@@ -29,6 +29,12 @@ def test_cantilever_has_the_bending_length_of_the_modulus(sample: FabricSample) 
         assert measurement.ratio == pytest.approx(1.0, abs=limit), measurement
 
 
+def test_cantilever_of_a_shape_operator_has_the_bending_length() -> None:
+    sample = read_sample("cotton_twill", {"bending.model": "shape_operator"})
+    lengths = [entry.ratio for entry in measure_cantilever(sample, cells=3) if entry.quantity == "bending length"]
+    assert lengths == pytest.approx([1.0, 1.0], abs=0.01)
+
+
 def test_cantilever_error_falls_with_the_cells(sample: FabricSample) -> None:
     exact = (sample.warp_and_weft("material.bending_modulus")[0] / (sample.density * 9.81)) ** (1.0 / 3.0)
     coarse, fine = (cantilever(sample, 0.0, cells=cells).bending_length / exact - 1.0 for cells in (2, 4))
@@ -67,6 +73,18 @@ def test_bias_extension_shears() -> None:
     assert kinematic.ratio is not None
     assert 1.0 < laminate.ratio < 1.05
     assert kinematic.ratio < 0.6
+
+
+def test_bias_extension_of_stiff_threads_is_shear() -> None:
+    _, kinematic, *_ = measure_bias_extension(read_sample("polyester_tablecloth"))
+    assert kinematic.ratio == pytest.approx(1.0, abs=0.06)
+
+
+def test_bias_modulus_of_springs_has_their_poisson_ratio() -> None:
+    values = {"membrane.model": "springs", "material.stretch_modulus": 200.0, "material.stretch_modulus_weft": 200.0}
+    fabric = read_sample("denim", {**values, "material.shear_modulus": 40.0, "material.poisson_ratio": 0.9})
+    laminate = measure_bias_extension(fabric, cells=4)[0].stated
+    assert laminate == pytest.approx(4.0 / (2.0 / 200.0 - 2.0 * 0.1926 / 200.0 + 1.0 / 40.0), rel=1e-3)
 
 
 def test_table_has_measured_and_stated_value() -> None:

@@ -88,5 +88,7 @@ def test_equal_moduli_leave_the_constants():
 def test_ratio_beyond_the_hinges_is_refused():
     patch = patterns.triangle_patch(0.0)
     flat = np.concatenate((patch.positions, np.zeros((len(patch.positions), 1))), axis=1)
-    with pytest.raises(ValueError, match=r"along the weft the hinges .* ratio of at most about 3"):
+    with pytest.raises(
+        ValueError, match=r"along the weft the hinges .* ratio of at most about 3, a grid, or .*'shape_operator'"
+    ):
         thread_factors(patch.hinges, flat, patch.constants, moduli=(1.0, 0.1), warp=(0.0, 1.0, 0.0))

@@ -52,6 +52,28 @@ def test_fabric_makes_a_mesh_too():
         assert {"membrane", "crossed"} <= set(names)
 
 
+def test_every_fabric_takes_a_shape_operator():
+    oblique = {"bending.model": "shape_operator", "material.warp_direction": [1.0, 2.0, 0.0]}
+    for name in fabrics():
+        grid = Scene.from_parameters({"material.fabric": name, "cloth.resolution": [8, 8], **oblique})
+        mesh = {"cloth.mesh": "sheet.obj", "cloth.anchors": ["0"]}
+        scenes = [grid, Scene.from_parameters({"material.fabric": name, **oblique, **mesh}, files={"sheet.obj": MESH})]
+        for scene in scenes:
+            assert "shape_operator" in [force.name for force in scene.model().forces], name
+
+
+@pytest.mark.parametrize(
+    ("values", "remedy"),
+    [
+        ({}, "or choose bending.model 'shape_operator'"),
+        ({"membrane.model": "springs", "bending.model": "shape_operator"}, "or choose membrane.model 'triangles'"),
+    ],
+)
+def test_oblique_threads_of_a_grid_name_a_model(values, remedy):
+    with pytest.raises(ParameterError, match=remedy):
+        Scene.from_parameters({"material.fabric": "denim", "material.warp_direction": [1.0, 1.0, 0.0], **values})
+
+
 def test_set_parameters_override_the_fabric():
     scene = Scene.from_parameters({"material.fabric": "denim", "material.density": 0.5, "membrane.model": "springs"})
     assert (scene.material.density, scene.membrane.model) == (0.5, "springs")

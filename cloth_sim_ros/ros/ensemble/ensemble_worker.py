@@ -20,20 +20,18 @@ import json
 import os
 import pickle
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from typing import Any
 
 from cloth_sim_ros.ros.ensemble.ensemble_jobs import EnsembleStart, EnsembleStep
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.child_process import exit_with_parent
 from cloth_sim_ros.session.messages import CloudEncoder
 from cloth_sim_ros.simulation.ensemble import Ensemble, EnsembleFrame
 
 #: Niceness, so that the simulation has priority.
 _NICENESS = 10
-#: Poll interval of the parent process [s].
-_POLL_SECONDS = 0.25
 
 
 class EnsembleWorker:
@@ -83,7 +81,7 @@ class EnsembleWorker:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the ensemble process: advance members by frames from standard input, until its or the parent's end."""
-    threading.Thread(target=_exit_with_parent, args=(int(arguments[0]),), daemon=True).start()
+    exit_with_parent(int(arguments[0]))
     os.nice(_NICENESS)
     worker = EnsembleWorker()
     try:
@@ -92,12 +90,6 @@ def main(arguments: Sequence[str]) -> int:
     except (EOFError, pickle.UnpicklingError, BrokenPipeError):
         # The node has ended, or was killed while it sent a frame.
         return 0
-
-
-def _exit_with_parent(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_POLL_SECONDS)
-    os._exit(0)
 
 
 if __name__ == "__main__":

@@ -100,7 +100,7 @@ class Inputs:
             self._node, is_complete, lambda: f"waiting for the TF frames of obstacles: {reason}", signal_name
         )
         if follower.obstacle_poses():
-            self._simulation.restart(self._build_reset(scene, False))
+            self._simulation.restart(self.build_reset(scene, False))
 
     def start(self) -> None:
         """Subscribe to commands of grippers and to joint states; create services, and actions if they are set."""

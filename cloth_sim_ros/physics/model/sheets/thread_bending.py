@@ -67,7 +67,7 @@ def thread_factors(
         if not abs(modulus - requested) <= MAX_DEVIATION * requested:
             raise ValueError(
                 f"along the {thread} the hinges of this mesh reach {modulus:.3g} N m; choose a ratio of at most about "
-                "3, or a grid"
+                "3, a grid, or bending.model 'shape_operator'"
             )
     return np.asarray(factors[0] * cosine * cosine + factors[1] * sine * sine)
 
