@@ -19,6 +19,8 @@ from cloth_sim_ros.session.plurals import pluralize
 
 #: Number of combinations of grasped particles that the report lists.
 _N_LISTED = 4
+#: Largest rotation of a camera that may be an error of its pose [degrees], three deviations of the prior.
+_MAX_TURN = 35.0
 
 
 def describe_motions(fit: MotionFit) -> str:
@@ -109,6 +111,12 @@ def _alignment_lines(fit: MotionFit) -> Iterator[str]:
         x, y, z = (1e3 * component for component in alignments[0].shift)
         turn = "" if model.camera == FIXED else f"turned by {math.degrees(alignments[0].angle):.2f} degrees and "
         yield f"The camera is {turn}shifted by ({x:.2g}, {y:.2g}, {z:.2g}) mm (fitted, shared by all recordings)."
+    largest = max((math.degrees(alignment.angle) for alignment in alignments), default=0.0)
+    if largest > _MAX_TURN:
+        yield (
+            f"  {largest:.0f} degrees are more than an error of the camera's pose, {_MAX_TURN:g} at most: check the "
+            "order of the particles and the scene's resolution, or give --camera-pose."
+        )
 
 
 def _notes(fit: MotionFit) -> Iterator[str]:

@@ -96,6 +96,13 @@ def test_report_states_misfit_beyond_floor(fitted: MotionFit) -> None:
     assert "Misfit: 4.2 mm" in describe_motions(attrs.evolve(fitted, excess=0.0042))
 
 
+def test_rotation_beyond_a_camera_error_is_doubted(fitted: MotionFit) -> None:
+    assert "more than an error of the camera's pose" not in describe_motions(fitted)
+    alignments = [attrs.evolve(alignment, rotation=(0.0, 0.0, 2.82)) for alignment in fitted.alignments if alignment]
+    text = describe_motions(attrs.evolve(fitted, alignments=tuple(alignments)))
+    assert "162 degrees are more than an error of the camera's pose, 35 at most: check the order" in text
+
+
 def test_recording_of_another_cloth_is_named(recordings: list[Recording]) -> None:
     curtain = attrs.evolve(recordings[2], name="curtain", clouds=[2.5 * cloud for cloud in recordings[2].clouds])
     fit = fit_real([*recordings[:2], curtain], scene_of(), ["normal_drag"], grasped=NAMED, **QUICK)
