@@ -141,3 +141,11 @@ def test_flood_of_waiting_states_is_bounded() -> None:
         states.add([f"x{k}", "a"], [0.0, float(k)], NOW, NOW)
     assert states.apply(NOW + 6000)
     assert states.positions.tolist() == [5999.0]
+
+
+def test_huge_position_is_refused() -> None:
+    states = JointStates(("shoulder", "finger"))
+    with pytest.raises(ValueError, match=r"joint 'finger' is 1e\+308; it must be finite, and at most 1e\+09"):
+        states.add(["shoulder", "finger"], [0.1, 1e308], 0, 1)
+    states.apply(2)
+    assert not states.is_known.any()

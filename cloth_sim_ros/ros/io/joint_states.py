@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.ros.io.stamps import MAX_FUTURE, STAMP_EXPIRY, StampGate
 
+#: Largest position of a joint [rad or m]: squares of larger ones may overflow.
+_MAX_POSITION = 1e9
 #: Largest number of states that wait for their frame, and of publishers with different joints.
 _MAX_WAITING, _MAX_PUBLISHERS = 4096, 256
 
@@ -59,7 +61,7 @@ class JointStates:
         Raises:
             StampError: for a stamp that is refused.
             ValueError: for another number of positions than of names, for a joint that is named twice, and for
-                positions that are not finite.
+                positions that are not finite or too large.
         """
         key = tuple(names)
         if key not in self._publishers:
@@ -77,9 +79,12 @@ class JointStates:
             repeated = next(name for k, name in enumerate(key) if name in self._indices and name in key[:k])
             raise ValueError(f"it names joint '{repeated}' twice; give each joint one position")
         values = np.asarray(positions, dtype=np.float64)[of_message]
-        if not np.isfinite(values).all():
-            k = int(np.argmin(np.isfinite(values)))
-            raise ValueError(f"the position of joint '{key[of_message[k]]}' is {values[k]}; it must be finite")
+        # A comparison with NaN is false.
+        is_valid = np.abs(values) <= _MAX_POSITION
+        if not is_valid.all():
+            k = int(np.argmin(is_valid))
+            limit = f"it must be finite, and at most {_MAX_POSITION:g}"
+            raise ValueError(f"the position of joint '{key[of_message[k]]}' is {values[k]}; {limit}")
         effective = gate.accept(stamp, now)
         self._waiting.append((effective, of_joints, values))
         elapsed = now - self._arrivals[of_joints]
