@@ -12,7 +12,21 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.speed.real_time import CHOICES
 
-OPTIONS = ["--moduli", "100", "1e6", "--choices-size", "6", "--choices-moduli", "1e3", "--frames", "5", "--rounds", "1"]
+OPTIONS = [
+    "--moduli",
+    "100",
+    "1e6",
+    "--choices-size",
+    "6",
+    "--choices-moduli",
+    "1e3",
+    "--frames",
+    "5",
+    "--rounds",
+    "1",
+    "--garment",
+    "0",
+]
 
 
 def test_real_time_tables_have_all_sizes_and_integrators(tmp_path: Path) -> None:

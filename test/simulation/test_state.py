@@ -195,12 +195,12 @@ def test_state_file_with_invalid_cloth_id_is_refused(cloth, words):
 def test_error_estimate_of_an_earlier_version_is_accepted() -> None:
     arrays = saved().arrays()
     name = "memory.control.error_estimate"
-    arrays[name] = np.zeros(14)
+    arrays[name] = np.zeros(15)
     arrays[name][[0, 1, 10]] = 1.0
     arrays[name] = arrays[name][:13]
     State.from_bytes(archive(arrays))
     arrays[name] = arrays[name][:12]
-    with pytest.raises(ValueError, match=r"shape \(12,\); it must be float64 and \(14,\)"):
+    with pytest.raises(ValueError, match=r"shape \(12,\); it must be float64 and \(15,\)"):
         State.from_bytes(archive(arrays))
 
 
@@ -208,7 +208,7 @@ def test_error_estimate_of_an_earlier_version_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda a: a[:-2], "shape"),
+        (lambda a: a[:1], "shape"),
         (lambda a: np.append(a, 1.0), "shape"),
         (lambda a: a.reshape(1, -1), "shape"),
         (lambda a: a.astype(np.int64), "it must be float64"),

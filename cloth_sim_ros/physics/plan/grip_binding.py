@@ -34,21 +34,20 @@ class _StrongestGrip(NamedTuple):
     is_prescribed: bool
 
 
-def _jerk_change(omega2: float, damping: float, acceleration: float, jerk: float, duration: float) -> float:
-    """Return how much of the change of jerk by a path an error of velocity shows at the end of an interval [m/s^3].
+def _jerk_change(omega2: float, damping: float, acceleration: float, duration: float) -> float:
+    """Return the change of jerk by a path that an error of velocity shows at the end of an interval [m/s^3].
 
     Args:
         omega2: squared frequency of the spring to the path [1/s^2].
         damping: its damping rate [1/s].
-        acceleration: mean acceleration of the path [m/s^2].
-        jerk: of the path, which is constant [m/s^3].
+        acceleration: largest acceleration of the path [m/s^2].
         duration: of the interval [s].
     """
-    change = duration * (omega2 * acceleration + damping * jerk)
-    if not omega2:
-        return change
-    # A fast wave forgets all but the last part.
-    return min(change, 3.0 * (omega2 * (acceleration + 0.5 * duration * jerk) + damping * jerk) / math.sqrt(omega2))
+    if omega2:
+        # Waves decay. Without damping their phase errors add up.
+        decay = max(3.0 / math.sqrt(omega2), 2.0 * damping / omega2, 4.0 / damping if damping else duration)
+        duration = min(duration, decay)
+    return acceleration * (omega2 * duration + 3.0 * damping)
 
 
 class GripBinding(Uncopyable):
@@ -135,9 +134,9 @@ class GripBinding(Uncopyable):
     ) -> float:
         """Return the largest change of a particle's jerk by its gripper's path over an interval, times T^2/8 [m/s].
 
-        The jerk by a spring changes by (k dV + k_d dA)/m with the changes dV and dA of the point's velocity and
-        acceleration. A fast spring shows less of it. If several grippers grasp one particle, their changes add up. A
-        prescribed particle acts through the sheet's springs, whose waves keep an error of velocity for 1/w only
+        With the largest acceleration A of the point it is A (k s + 3 k_d)/m. Waves decay in the time s, which is at
+        most T. If several grippers grasp one particle, their changes add up. A prescribed particle acts through the
+        sheet's springs, whose waves keep an error of velocity for 1/w only
         (docs/derivations/time_stepping.md#change-of-jerk).
 
         Args:
@@ -151,17 +150,18 @@ class GripBinding(Uncopyable):
         grips, are_shared = self._strongest_grips(inverse_masses)
         for gripper, stiffness, damping, reach, is_prescribed in grips:
             path = paths[gripper].tolist()
-            middle = 3.0 * (t - path[0] + 0.5 * duration)
-            acceleration = jerk = 0.0
-            for first, scale in ((7, 2.0), (20, 2.0 * reach)):
-                a, b, c, d, e, f = path[first : first + 6]
-                x, y, z = a + middle * d, b + middle * e, c + middle * f
-                acceleration += scale * math.sqrt(x * x + y * y + z * z)
-                jerk += scale * 3.0 * math.sqrt(d * d + e * e + f * f)
-            change = _jerk_change(stiffness, damping, acceleration, jerk, duration)
+            start, acceleration = t - path[0], 0.0
+            for time in (start, start + duration):
+                largest = 0.0
+                for first, scale in ((7, 2.0), (20, 2.0 * reach)):
+                    a, b, c, d, e, f = path[first : first + 6]
+                    x, y, z = a + 3.0 * time * d, b + 3.0 * time * e, c + 3.0 * time * f
+                    largest += scale * math.sqrt(x * x + y * y + z * z)
+                acceleration = max(acceleration, largest)
+            change = _jerk_change(stiffness, damping, acceleration, duration)
             if is_prescribed:
                 fraction = 1.0 / math.sqrt(rates[0] * error_time * error_time + 1.0)
-                change = max(change, fraction * _jerk_change(*rates, acceleration, jerk, duration))
+                change = max(change, fraction * _jerk_change(*rates, acceleration, duration))
             changes.append(change)
         return 0.125 * duration * duration * (ordered_sum(changes) if are_shared else max(changes))
 
