@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, still
+from support.self_runs import CONFIG
 
+from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.integrators.base import StepLimitError
 from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.simulation.gripper_script import GripperScript
+from cloth_sim_ros.simulation.script_events import ScriptEvents
 
 FRAME = 1.0 / 60.0
 #: Depth of each shape below the origin at which a sheet around the origin first touches it [m].
@@ -189,3 +194,14 @@ def test_restored_state_has_the_same_min_gap_and_steps():
         done = integrator.advance(plan, compared_state, 4 * FRAME, FRAME, book)
     assert done.steps > 0
     assert state.digest() == again.digest()
+
+
+def test_cloth_held_between_pads_needs_no_estimate_in_each_frame() -> None:
+    # Contact alone shortens the steps, so that pieces are halved before an attempt. That is no rough motion.
+    values = parameter_file.read(CONFIG / "pinch.yaml")
+    simulation = Simulation(Scene.from_parameters(values))
+    events = ScriptEvents([GripperScript.from_file(CONFIG / "pinch_grasp.yaml")], simulation.scene.period)
+    advances = [simulation.advance(events.at(frame)).advance for frame in range(290)]
+    held = [advance for advance in advances[270:] if advance is not None]
+    assert all(advance.steps > 200 for advance in held)
+    assert sum(advance.evaluations > 1.5 * advance.steps for advance in held) <= 5
