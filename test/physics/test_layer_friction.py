@@ -146,3 +146,29 @@ def test_invalid_coefficients_and_anchors_are_refused():
     anchors[0, 0, :], anchors[0, 3, :] = 1e6, 1.0
     with pytest.raises(ValueError, match=r"in triangle 1000000\.0; it must be a whole number from 0 to 63"):
         plan.contact.upload({ANCHORS_KEY: anchors})
+
+
+def test_friction_changes_of_layer_anchors_that_slid_alone():
+    plan, x, masses = stacked()
+    memory, rng = anchored_at(plan, x), np.random.default_rng(7)
+    anchors, triangles = memory[ANCHORS_KEY], plan.contact.force.surface.triangles
+    # The layers move as rigid bodies. Half of the anchors slide, some of them without a bond at the end.
+    ends = anchors.copy()
+    ends[:, 1:3, ::2] += 1e-4 * rng.normal(size=ends[:, 1:3, ::2].shape)
+    ends[:, 3, ::6] = 0.0
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    y = np.ascontiguousarray(turn @ x + rng.normal(size=(3, 1)))
+    expected, n_slid = np.zeros_like(x), 0
+    for face, i in np.argwhere((anchors[:, 3] > 0.0) & (ends[:, 3] > 0.0)):
+        (triangle, b, c, _), (_, before_b, before_c, _) = ends[face, :, i], anchors[face, :, i]
+        corners = triangles[int(triangle)]
+        sides = y[:, corners[1:]] - y[:, corners[:1]]
+        force = 0.5 * masses[i] * 2000.0**2 * sides @ [b - before_b, c - before_c]
+        n_slid += i % 2 == 0
+        for particle, weight in zip((i, *corners), (1.0, b + c - 1.0, -b, -c), strict=True):
+            expected[:, particle] += weight * force / masses[particle]
+    changes = plan.contact.friction_change(0.0, 0.01, (x, y), ends, memory)
+    assert n_slid > 3
+    size = np.abs(expected).max()
+    assert changes == pytest.approx(expected, rel=1e-6, abs=1e-6 * size)
+    assert np.abs((masses * changes).sum(axis=1)).max() < 1e-9 * size

@@ -334,6 +334,55 @@ void combine_self_anchors(Plan& plan, double t, const double* x, const double* v
     });
 }
 
+/// Add the changes of friction between layers per mass [m/s^2], as `friction_change` does for obstacles, whose anchors
+/// come before them. A stretch turns and deforms with the triangle of its anchor at the start.
+inline void add_layer_friction_change(const Plan& plan, const double* x0, const double* x1, const double* all_ends,
+                                      double* out) {
+    if (!plan.has_self_friction()) return;
+    const std::int64_t n = plan.count;
+    const double stiffness = plan.contacts.frequency * plan.contacts.frequency;
+    const Surface& s = plan.self->surface;
+    const LayerAnchors starts = plan.layer_anchors(),
+                       ends{all_ends + plan.contacts.obstacle_anchors(n), plan.particle_of_rank.data(), n};
+    const auto reader = [&](const double* x) {
+        return [&plan, x, n](Index c) {
+            const double* const particle = x + plan.particle_of_rank[c];
+            return Vec3<double>{particle[0], particle[n], particle[2 * n]};
+        };
+    };
+    const auto at_start = reader(x0), at_end = reader(x1);
+    for (int face = 0; face < layer_sides; ++face)
+        for (std::int64_t rank = 0; rank < n; ++rank) {
+            const Index i = static_cast<Index>(rank);
+            const LayerAnchor start = starts(face, i), end = ends(face, i);
+            const bool is_same =
+                start.triangle == end.triangle && start.second == end.second && start.third == end.third;
+            if (is_same || start.bond == no_bond || end.bond == no_bond) continue;
+            // Stretch by the weights of an anchor at some positions, with the edges of its triangle at the end.
+            const auto stretch = [&](const LayerAnchor& anchor, const auto& at) {
+                const auto& t = s.triangles[anchor.triangle];
+                const Vec3<double> a = at(t[0]), e = at(t[1]) - a, g = at(t[2]) - a, r = at(i) - a,
+                                   across = cross(e, g);
+                const double over = 1.0 / norm2(across);
+                const double second = dot(r, cross(g, across)) * over, third = dot(r, cross(across, e)) * over;
+                const Vec3<double> b = at_end(t[0]);
+                return (second - anchor.second) * (at_end(t[1]) - b) + (third - anchor.third) * (at_end(t[2]) - b);
+            };
+            const Vec3<double> force =
+                (0.5 * s.masses[i] * stiffness) * (stretch(start, at_start) - stretch(end, at_end));
+            const auto add = [&](Index c, double weight) {
+                const std::int64_t k = plan.particle_of_rank[c];
+                const double factor = weight * plan.free_inverse[k];
+                out[k] += factor * force.x, out[n + k] += factor * force.y, out[2 * n + k] += factor * force.z;
+            };
+            const auto& t = s.triangles[end.triangle];
+            add(i, 1.0);
+            add(t[0], end.second + end.third - 1.0);
+            add(t[1], -end.second);
+            add(t[2], -end.third);
+        }
+}
+
 ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
                                    const double* v) {
     SelfContact& self = *plan.self;

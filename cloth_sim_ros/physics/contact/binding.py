@@ -241,7 +241,7 @@ class ContactBinding(Uncopyable):
     def friction_change(
         self, t: float, duration: float, positions: tuple[Array, Array], ends: Array, memory: StateMemory
     ) -> Array:
-        """Return changes of friction with obstacles, per mass [m/s^2], (3, n), of particles that slide in an interval.
+        """Return changes of friction per mass [m/s^2], (3, n), where particles slide on obstacles or layers.
 
         Args:
             t: start of the interval [s].

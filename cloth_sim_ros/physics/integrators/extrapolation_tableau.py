@@ -191,7 +191,7 @@ class ExtrapolationTableau:
         """Return the changes of friction over the interval, see `ContactBinding.friction_change`; None without any."""
         positions = self._start.x, self.combine(n_runs)[0]
         contact, ends = self._plan.contact, self._runs[n_runs - 1].anchors
-        if contact is None or ends is None or not contact.force.has_friction:
+        if contact is None or ends is None:
             return None
         return contact.friction_change(self.t, self.duration, positions, ends, self._start.memory)
 
