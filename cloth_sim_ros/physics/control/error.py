@@ -159,7 +159,7 @@ class ErrorRule:
             change: of positions [m] and of velocities [m/s] by the last run of the combination; zeros for a single run.
             activity: activity of the piece [m/s].
             jerk_change: change of jerk of a single run whose springs turn [m/s].
-            grip_jerk_change: change of jerk of a single run by grippers' paths [m/s].
+            grip_jerk_change: change of jerk by grippers' paths [m/s], of a single run or of runs of a few steps.
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
@@ -178,6 +178,11 @@ class ErrorRule:
             scale = memory.safety_factor * step * step / memory.coefficient
             by_grips = displacement_by_jerk(max(0.0, grip_jerk_change - memory.grip_jerk_change), counts[0])
             return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction + by_grips, 0.0
+        # Combined runs of a few steps may gain nothing on one another by a path, and still differ little by chance.
+        is_path_changed = grip_jerk_change > trust_factor * memory.grip_jerk_change
+        displaces = displacement_by_jerk(grip_jerk_change, counts[0]) > self._target(length)
+        if counts[0] < CONSTANTS.min_ordered_steps and is_path_changed and displaces:
+            return math.inf, math.inf
         lower_order_error = change[0] + memory.velocity_weight * change[1]
         known_error = memory.lower_order_error * fraction
         if not known_error:
