@@ -12,12 +12,16 @@ from support.alone import NO_MEMORY
 
 from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.control.controller import Controller
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
 from cloth_sim_ros.physics.model.forces.bending_friction import BendingFriction
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.hinge_springs import signed_lengths
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.physics.state.controller_state import PLASTIC_LENGTHS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -185,6 +189,28 @@ def test_lengths_that_no_run_moved_keep_their_bits() -> None:
     start.memory[PLASTIC_LENGTHS_KEY] = lengths
     ExtrapolationTableau(plan, start, 0.0, 0.02, (60, 75, 90)).commit(3, start)
     assert np.array_equal(start.memory[PLASTIC_LENGTHS_KEY], lengths)
+
+
+@pytest.mark.parametrize(("stiffness", "ratio"), [(0.02, 3.0), (2.0, 1.0), (200.0, 1.0)])
+def test_error_of_a_plastic_length_displaces_as_estimated(stiffness: float, ratio: float) -> None:
+    # A slow hinge moves by three times the mean over errors of the second.
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [-0.1, 0.05, 0.0], [0.1, 0.04, 0.02]])
+    friction = BendingFriction([[0, 1, 2, 3]], 0.0, stiffness, 1.0)
+    edges = PairSprings([[0, 3], [1, 3]], [np.hypot(0.108, 0.02), np.hypot(0.118, 0.02)], 5.0)
+    plan = compile(Model([1.0, 1.0, 1.0, 0.03], [friction, edges], anchors=[0, 1, 2]))
+    x, error = np.ascontiguousarray(points.T), 1e-6
+    assert plan.plastic is not None
+    estimate, motions = plan.plastic.displacement(x, np.array([error])), list[Array]()
+    lengths = signed_lengths(friction.hinges, x, kind="crossed")
+    for start in (lengths, lengths + error):
+        state, integrator, positions = State(points), Leapfrog(step=1e-3), list[Array]()
+        state.memory[PLASTIC_LENGTHS_KEY] = start
+        for k in range(50):
+            integrator.advance(plan, state, 0.02 * k, 0.02)
+            positions.append(state.x.copy())
+        motions.append(np.array(positions))
+    displacement = np.linalg.norm(motions[1] - motions[0], axis=1).max()
+    assert displacement == pytest.approx(ratio * estimate, rel=0.05)
 
 
 @pytest.mark.parametrize("integrator", ["leapfrog", "extrapolated", "implicit", "symplectic_euler"])

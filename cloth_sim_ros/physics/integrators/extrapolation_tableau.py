@@ -195,6 +195,28 @@ class ExtrapolationTableau:
             return None
         return contact.friction_change(self.t, self.duration, positions, ends, self._start.memory)
 
+    def kink_displacement(self, n_runs: int) -> float:
+        """Return the displacement [m] by kinks of bending friction, see `PlasticLengths.kink_displacement`."""
+        (x, v), plastic = self.combine(n_runs), self._plan.plastic
+        ends = [run.plastic_lengths for run in self._runs[:n_runs] if run.plastic_lengths is not None]
+        if plastic is None or not ends:
+            return 0.0
+        start, factors = self._start, weights(self.counts[:n_runs])
+        lengths = plastic.lengths_of(start.memory), ends, combine(ends, factors)
+        displacement = plastic.kink_displacement(
+            (start.x, start.v), (x, v), lengths, self.duration / self.counts[0], self.counts[0], VELOCITY_ERROR_TIME
+        )
+        return displacement * ordered_sum(abs(factor) for factor in factors)
+
+    def _plastic_difference(self, n_runs: int) -> float:
+        """Return the displacement [m] by the change of plastic lengths if one run more is combined; 0 without any."""
+        plastic, x = self._plan.plastic, self.combine(n_runs + 1)[0]
+        if plastic is None:
+            return 0.0
+        ends = [run.plastic_lengths for run in self._runs[: n_runs + 1] if run.plastic_lengths is not None]
+        more, fewer = (combine(ends[:k], weights(self.counts[:k])) for k in (n_runs + 1, n_runs))
+        return plastic.displacement(x, more - fewer)
+
     def change(self, n_runs: int) -> tuple[float, float]:
         """Return the largest changes of position [m] and velocity [m/s] if one run more than n_runs is combined."""
         if n_runs not in self._changes:
@@ -216,6 +238,7 @@ class ExtrapolationTableau:
                 (x, v), (_, w), end = self.combine(n_runs + 1), self.combine(n_runs), self.t + self.duration
                 displacement, evaluations = self._plan.velocity_displacement(end, x, v - w, VELOCITY_ERROR_TIME)
                 self.evaluations += evaluations
+                distance += self._plastic_difference(n_runs)
             if velocity_change:
                 self._velocity_weight = displacement / velocity_change
             self._distances[n_runs] = max(distance + displacement, self._jaw_difference(n_runs))

@@ -143,7 +143,9 @@ class Plan(PlanQueries, Uncopyable):
 
             self.contact = ContactBinding(self._owner, assembly.contact, count)
         #: Plastic lengths of hinges with friction; None without any.
-        self.plastic = None if assembly.plastic is None else PlasticLengths(self._owner, assembly.plastic, count)
+        self.plastic: PlasticLengths | None = None
+        if assembly.plastic is not None:
+            self.plastic = PlasticLengths(self._owner, assembly.plastic, model.inverse_masses)
         self._python_callback = PythonForces(self._python_forces, self._shape) if self._python_forces else None
         if self._python_callback is not None:
             check(self._library.cloth_plan_callback(self._handle, self._python_callback.callback))
