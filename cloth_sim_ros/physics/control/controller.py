@@ -445,10 +445,8 @@ class Controller:
         summary = tableau.summary(n_runs)
         self._may_turn = summary.turn > CONSTANTS.max_turn and not self.in_fallback
         rates = self._stability.memory.omega2, self._stability.memory.damping
-        follows_jerk = n_runs == 1 or tableau.counts[0] < CONSTANTS.min_ordered_steps
-        has_grips = (follows_jerk or self.estimates_error) and self._plan.gripper_count > 0
         path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
-        grip_jerk_change = self._plan.grip_jerk_change(*path) if has_grips else 0.0
+        grip_jerk_change = self._plan.grip_jerk_change(*path) if self._plan.gripper_count > 0 else 0.0
         self._may_jump = self._may_touch and not self.in_fallback and self._friction_displaces(tableau, piece)
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],

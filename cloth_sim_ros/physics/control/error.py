@@ -159,7 +159,7 @@ class ErrorRule:
             change: of positions [m] and of velocities [m/s] by the last run of the combination; zeros for a single run.
             activity: activity of the piece [m/s].
             jerk_change: change of jerk of a single run whose springs turn [m/s].
-            grip_jerk_change: change of jerk by grippers' paths [m/s], of a single run or of runs of a few steps.
+            grip_jerk_change: change of jerk by grippers' paths [m/s].
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
@@ -176,12 +176,10 @@ class ErrorRule:
             if is_changed and displacement_by_jerk(jerk_change, counts[0]) > self._target(length):
                 return math.inf, math.inf
             scale = memory.safety_factor * step * step / memory.coefficient
-            by_grips = displacement_by_jerk(max(0.0, grip_jerk_change - memory.grip_jerk_change), counts[0])
+            known_jerk_change = memory.grip_jerk_change * length * length
+            by_grips = displacement_by_jerk(max(0.0, grip_jerk_change - known_jerk_change), counts[0])
             return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction + by_grips, 0.0
-        # Combined runs of a few steps may gain nothing on one another by a path, and still differ little by chance.
-        is_path_changed = grip_jerk_change > trust_factor * memory.grip_jerk_change
-        displaces = displacement_by_jerk(grip_jerk_change, counts[0]) > self._target(length)
-        if counts[0] < CONSTANTS.min_ordered_steps and is_path_changed and displaces:
+        if self._is_other_path(grip_jerk_change, counts[0], length):
             return math.inf, math.inf
         lower_order_error = change[0] + memory.velocity_weight * change[1]
         known_error = memory.lower_order_error * fraction
@@ -192,6 +190,20 @@ class ErrorRule:
         growth = max(1.0, ratio * memory.lower_order_coefficient / coefficient_of(counts[:-1], length))
         scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
         return scale * memory.error * fraction, lower_order_error
+
+    def _is_other_path(self, grip_jerk_change: float, steps: int, length: float) -> bool:
+        """Return True if grippers move so that the last estimate does not tell the error of combined runs.
+
+        A path changes within a frame, faster than the waves of the estimate may. Extrapolation gains less on it.
+
+        Args:
+            grip_jerk_change: change of jerk by grippers' paths [m/s].
+            steps: of the first run.
+            length: of the piece [s].
+        """
+        known_jerk_change = self.memory.grip_jerk_change * length * length
+        is_other = grip_jerk_change > CONSTANTS.estimate_trust_factor * known_jerk_change
+        return is_other and displacement_by_jerk(grip_jerk_change, steps) > self._target(length)
 
     def _target(self, length: float) -> float:
         """Return the error at which a piece of a length [s] aims [m]."""

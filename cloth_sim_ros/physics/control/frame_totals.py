@@ -40,7 +40,7 @@ class ErrorPrediction(NamedTuple):
     #: Activity [m/s], see `runs.activity_of`, and largest contact energy per mass, in U^2/2.
     activity: float = 0.0
     contact_energy: float = 0.0
-    #: Change of jerk by grippers' paths, see `GripBinding.jerk_change` [m/s]; 0 if runs are combined.
+    #: Change of jerk by grippers' paths, see `GripBinding.jerk_change` [m/s].
     grip_jerk_change: float = 0.0
 
 
@@ -57,7 +57,8 @@ class FrameTotals:
     contact_energy = 0.0
     #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
     longest_step, longest_runs = 0.0, 1
-    #: Sum of predicted errors [m]; largest activity and largest changes of jerk, also by grippers, of a piece [m/s].
+    #: Sum of predicted errors [m]; largest activity and change of jerk of a piece [m/s]; largest change of jerk by
+    #: grippers' paths, over the square of the piece's length [m/s^3].
     predicted_error, activity, jerk_change, grip_jerk_change = 0.0, 0.0, 0.0, 0.0
     #: False while pieces are accepted by predictions. Each has an estimate then; False if a piece has other refinement,
     #: which makes the sums of estimates useless. The refinement.
@@ -97,4 +98,5 @@ class FrameTotals:
         self.predicted_error += prediction.error
         self.activity = max(self.activity, prediction.activity)
         self.jerk_change = max(self.jerk_change, tableau.jerk_change)
-        self.grip_jerk_change = max(self.grip_jerk_change, prediction.grip_jerk_change)
+        grip_jerk_change = prediction.grip_jerk_change / (tableau.duration * tableau.duration)
+        self.grip_jerk_change = max(self.grip_jerk_change, grip_jerk_change)

@@ -141,7 +141,8 @@ class ErrorState(ControllerState):
     duration: float = bounded_number(0.0, minimum=0.0)
     #: Largest change of jerk over a part whose error was estimated [m/s], see `Run.jerk_change`.
     jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
-    #: Largest change of jerk by grippers' paths over such a part [m/s], see `GripBinding.jerk_change`.
+    #: Largest change of jerk by grippers' paths, see `GripBinding.jerk_change`, over the square of the part's length
+    #: [m/s^3].
     grip_jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
 
