@@ -476,7 +476,7 @@ class Controller:
         change = tableau.friction_change(self.n_runs)
         if change is None:
             return False
-        target = CONSTANTS.error_target_fraction * self.budget * (piece.length / self._duration)
+        target = self._error.target(piece.length)
         change *= piece.step / 4.0
         if VELOCITY_ERROR_TIME * largest_distance(change, np.zeros_like(change)) <= target:
             return False
@@ -777,7 +777,7 @@ class Controller:
         They are for the next stretch if it is longer, because the moment that needs short steps has then passed. The
         next frame starts with the longest steps so chosen; what is too coarse is rejected at little cost.
         """
-        target = CONSTANTS.error_target_fraction * self.budget * (piece.length / self._duration)
+        target = self._error.target(piece.length)
         n_runs, refinement = self._choose_runs(piece, self.refinement, target)
         refinement = max(1.0, 0.5 * self.refinement, refinement)
         if piece.max_step / refinement > self._frame.longest_step:
@@ -792,7 +792,7 @@ class Controller:
     def store(self) -> None:
         """Store the rules' numbers, with runs and steps of the next advance, in the state's memory."""
         state, error, frame = self._state, self._error, self._frame
-        target = CONSTANTS.error_target_fraction * self.budget
+        target = self._error.target(self._duration)
         if self._is_rough:
             max_step = min(CONSTANTS.stability_safety * self.limit, self._duration)
             error.restart(frame.longest_runs, max(1.0, max_step / frame.longest_step))

@@ -173,7 +173,7 @@ class ErrorRule:
             return math.inf, math.inf
         if len(counts) == 1:
             is_changed = jerk_change > trust_factor * memory.jerk_change
-            if is_changed and displacement_by_jerk(jerk_change, counts[0]) > self._target(length):
+            if is_changed and displacement_by_jerk(jerk_change, counts[0]) > self.target(length):
                 return math.inf, math.inf
             scale = memory.safety_factor * step * step / memory.coefficient
             known_jerk_change = memory.grip_jerk_change * length * length
@@ -203,9 +203,9 @@ class ErrorRule:
         """
         known_jerk_change = self.memory.grip_jerk_change * length * length
         is_other = grip_jerk_change > CONSTANTS.estimate_trust_factor * known_jerk_change
-        return is_other and displacement_by_jerk(grip_jerk_change, steps) > self._target(length)
+        return is_other and displacement_by_jerk(grip_jerk_change, steps) > self.target(length)
 
-    def _target(self, length: float) -> float:
+    def target(self, length: float) -> float:
         """Return the error at which a piece of a length [s] aims [m]."""
         return CONSTANTS.error_target_fraction * self.budget * (length / self.memory.duration)
 
