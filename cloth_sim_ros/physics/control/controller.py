@@ -460,10 +460,9 @@ class Controller:
         if self._may_jump or contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
             # Friction may turn round. Or the contact is harder than in the frame of the last estimate, or the first.
             error = math.inf
-        if self._plan.plastic is not None and not (self.estimates_error or self.in_fallback):
-            target = CONSTANTS.error_target_fraction * self.budget * (piece.length / self._duration)
-            if tableau.kink_displacement(n_runs) > target:
-                error = math.inf
+        has_kinks = self._plan.plastic is not None and not (self.estimates_error or self.in_fallback)
+        if has_kinks and tableau.kink_displacement(n_runs) > self._error.target(piece.length):
+            error = math.inf
         self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy, grip_jerk_change)
         return math.inf if self.estimates_error else error
 
