@@ -15,14 +15,14 @@ typedef struct {
     Lanes x, y, z;
 } Vec;
 
-/* Elements of one kind: particles and constants of each. Struct `_Elements` of compiled_reference.py. */
+/* Elements of one kind: particles and constants of each. compiled_reference.py reads the structs from here. */
 typedef struct {
     int64_t count;
     const int64_t *particles;
     const double *numbers;
 } Elements;
 
-/* Struct `_System` of compiled_reference.py. */
+/* Equations of motion. */
 typedef struct {
     int64_t particles;
     const double *inverse_mass;

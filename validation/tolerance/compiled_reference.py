@@ -11,6 +11,8 @@ differences of steps.
 from __future__ import annotations
 
 import ctypes
+import math
+import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -52,66 +54,23 @@ DEVIATION_TOLERANCE = 1e-4
 FLAGS = ("-O3", "-march=native", "-std=gnu11", "-fPIC", "-fno-math-errno", f"-DLANES={LANES}")
 
 _SOURCE = Path(__file__).with_name("compiled_reference.c")
-_MAX_GRIPPERS = 8
 #: Kinds of elements in the order of struct `System`, and the cost of one relative to that of a spring.
 _KINDS = {"springs": 1, "joints": 1, "crossed": 4, "altitudes": 6, "quadratics": 2, "frictions": 4, "membranes": 3}
 _KINDS |= {"panels": 3, "held": 0}
-_POINTER = ctypes.c_void_p
-_COUNT = ctypes.c_int64
-_DOUBLE = ctypes.c_double
+_C_TYPES: dict[str, Any] = {"int64_t": ctypes.c_int64, "double": ctypes.c_double}
 
 
-class _Elements(ctypes.Structure):
-    """Struct `Elements` of compiled_reference.c."""
-
-    _fields_ = (("count", _COUNT), ("particles", _POINTER), ("numbers", _POINTER))
-
-
-class _System(ctypes.Structure):
-    """Struct `System` of compiled_reference.c."""
-
-    _fields_ = (
-        ("particles", _COUNT),
-        ("inverse_mass", _POINTER),
-        *((kind, _Elements) for kind in _KINDS),
-        ("plastic_lengths", _POINTER),
-        ("membrane_moduli", _POINTER),
-        ("corners", _COUNT),
-        ("normal", _DOUBLE),
-        ("tangential", _DOUBLE),
-        ("wind", _DOUBLE * 3),
-        ("added_mass", _DOUBLE),
-        ("blocks", _POINTER),
-        ("push", _DOUBLE * 3),
-        ("drag", _DOUBLE),
-        ("held_grippers", _POINTER),
-        ("held_offsets", _POINTER),
-        ("paths", _POINTER),
-        ("shift", _DOUBLE * _MAX_GRIPPERS),
-    )
-
-
-class _Method(ctypes.Structure):
-    _fields_ = (
-        ("a", _DOUBLE * 144),
-        *((name, _DOUBLE * 12) for name in ("b", "c", "third", "fifth")),
-        ("a_place", _DOUBLE * 144),
-        *((f"{name}_place", _DOUBLE * 12) for name in ("b", "third", "fifth")),
-    )
-
-
-class _Control(ctypes.Structure):
-    _fields_ = (
-        ("tolerance", _DOUBLE),
-        ("kick", _DOUBLE),
-        ("share", _DOUBLE),
-        ("step", _DOUBLE),
-        ("longest", _DOUBLE),
-        ("deviations", _DOUBLE * 2),
-        ("evaluations", _COUNT),
-        ("rejected", _COUNT),
-        ("most", _COUNT),
-    )
+@cache
+def _c_struct(name: str) -> type[Any]:
+    """Return a struct of compiled_reference.c, the only declaration of its fields."""
+    declarations = re.sub(r"/\*.*?\*/", "", _SOURCE.read_text(), flags=re.DOTALL)
+    (body,) = re.findall(rf"typedef struct {{([^}}]*)}} {name};", declarations)
+    fields = []
+    for declared_type, declared_names in re.findall(r"(?:const )?(\w+) ([^;]+);", body):
+        for pointer, field, shape in re.findall(r"(\*?)(\w+)((?:\[\d+\])*)", declared_names):
+            c_type = ctypes.c_void_p if pointer else _C_TYPES.get(declared_type) or _c_struct(declared_type)
+            fields.append((field, c_type * math.prod(map(int, re.findall(r"\d+", shape))) if shape else c_type))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -140,18 +99,19 @@ def _library() -> ctypes.CDLL:
     if compiler is None:
         raise ValueError("no C compiler found: the reference is compiled at run time; set $CC or install gcc")
     library = compiled(_SOURCE, FLAGS, compiler=compiler)
-    library.accelerations.argtypes = [_POINTER, _DOUBLE, _POINTER, _POINTER, _POINTER]
+    pointer, double = ctypes.c_void_p, ctypes.c_double
+    library.accelerations.argtypes = [pointer, double, pointer, pointer, pointer]
     library.accelerations.restype = None
-    library.advance.argtypes = [_POINTER, _POINTER, _POINTER, _DOUBLE, _POINTER, _POINTER]
+    library.advance.argtypes = [pointer, pointer, pointer, double, pointer, pointer]
     library.advance.restype = ctypes.c_int
     return library
 
 
 @cache
-def _method() -> _Method:
+def _method() -> Any:
     from scipy.integrate._ivp import dop853_coefficients as table
 
-    method, stages = _Method(), table.A[:12, :12]
+    method, stages = _c_struct("Method")(), table.A[:12, :12]
     method.c[:] = table.C[:12].tolist()
     weights = {"a": stages, "b": table.B, "third": table.E3[:12], "fifth": table.E5[:12]}
     for name, array in weights.items():
@@ -174,7 +134,7 @@ class ReferenceSystem:
         self._library = _library()
         self.model = model
         self._arrays: list[Any] = []
-        self._c = system = _System(particles=model.particle_count, corners=3)
+        self._c = system = _c_struct("System")(particles=model.particle_count, corners=3)
         system.inverse_mass = self._store_array(model.inverse_masses, np.float64)
         pairs, lists = list[PairSprings](), dict[str, list[HingeSprings]](crossed=[], altitude=[])
         couplings = list[Couplings]()
@@ -216,8 +176,8 @@ class ReferenceSystem:
 
     def _set_elements(self, kind: str, particles: Any, numbers: Any) -> None:
         """Set all elements of a kind: their particles, shape (m, corners), and constants, shape (m, constants)."""
-        particles_address = self._store_array(particles, np.int64)
-        setattr(self._c, kind, _Elements(len(particles), particles_address, self._store_array(numbers, np.float64)))
+        addresses = self._store_array(particles, np.int64), self._store_array(numbers, np.float64)
+        setattr(self._c, kind, _c_struct("Elements")(len(particles), *addresses))
 
     def _set_pairs(self, lists: Sequence[PairSprings], couplings: Sequence[Couplings]) -> None:
         """Set springs and joints. A coupling is a joint, whose constant may be negative."""
@@ -282,10 +242,10 @@ class ReferenceSystem:
         """Set the grasped particles from time t [s] on, which becomes the time origin."""
         system = self._c
         if grasped is None or not len(grasped.particles):
-            system.held = _Elements()
+            system.held = _c_struct("Elements")()
             return
-        if len(grasped.paths) > _MAX_GRIPPERS or grasped.paths.shape[1] != PATH_NUMBERS:
-            raise ValueError(f"paths have shape {grasped.paths.shape}; there are {_MAX_GRIPPERS} grippers at most")
+        if len(grasped.paths) > len(system.shift) or grasped.paths.shape[1] != PATH_NUMBERS:
+            raise ValueError(f"paths have shape {grasped.paths.shape}; there are {len(system.shift)} grippers at most")
         # The arrays must live as long as the system has their addresses.
         self._grasp_arrays = [
             np.ascontiguousarray(grasped.particles, dtype=np.int64),
@@ -293,7 +253,7 @@ class ReferenceSystem:
             *(np.ascontiguousarray(a, dtype=np.float64) for a in (grasped.numbers, grasped.offsets, grasped.paths)),
         ]
         particles, grippers, numbers, offsets, paths = (array.ctypes.data for array in self._grasp_arrays)
-        system.held = _Elements(len(grasped.particles), particles, numbers)
+        system.held = _c_struct("Elements")(len(grasped.particles), particles, numbers)
         system.held_grippers, system.held_offsets, system.paths = grippers, offsets, paths
         system.shift[: len(grasped.paths)] = (t - grasped.paths[:, 0]).tolist()
 
@@ -338,7 +298,7 @@ class Integration:
         max_step: float = 0.0,
     ) -> None:
         self.system, self.y = system, y
-        self._control = _Control(
+        self._control = _c_struct("Control")(
             tolerance=tolerance,
             kick=PERTURBATION,
             share=DEVIATION_TOLERANCE,
