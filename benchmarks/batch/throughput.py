@@ -5,12 +5,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
-import multiprocessing
 import os
 import statistics
 import time
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from typing import Any, Self
 
 import numpy as np
@@ -100,49 +103,35 @@ class CarriedCloths:
         self.cloths.close()
 
 
-class ProcessPair:
-    """Two processes, each with its own single-threaded environment, stepped concurrently.
+#: Cloths of a process of `process_pair`.
+_process_cloths: list[CarriedCloths] = []
+
+
+@contextlib.contextmanager
+def process_pair(count: int, resolution: int) -> Iterator[Callable[[], None]]:
+    """Run two processes, each with a single-threaded environment; yield the function that steps both and waits.
 
     Args:
         count: cloths per process.
         resolution: particles a side.
     """
+    pool = partial(ProcessPoolExecutor, 1, get_context("spawn"), _make_cloths, (count, resolution))
+    with pool() as first, pool() as second:
 
-    def __init__(self, count: int, resolution: int) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pipes: list[Connection] = []
-        self._processes = []
-        for _ in range(2):
-            parent_end, child_end = context.Pipe()
-            process = context.Process(target=_steps, args=(child_end, count, resolution), daemon=True)
-            process.start()
-            self._pipes.append(parent_end)
-            self._processes.append(process)
-        for pipe in self._pipes:
-            pipe.recv()
+        def step() -> None:
+            for stepped in [pool.submit(_step_cloths) for pool in (first, second)]:
+                stepped.result()
 
-    def step(self) -> None:
-        """Step both environments once and wait for both."""
-        for pipe in self._pipes:
-            pipe.send(True)
-        for pipe in self._pipes:
-            pipe.recv()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for pipe, process in zip(self._pipes, self._processes, strict=True):
-            pipe.send(False)
-            process.join()
+        step()
+        yield step
 
 
-def _steps(pipe: Any, count: int, resolution: int) -> None:
-    with CarriedCloths(count, resolution, threads=1) as carried:
-        pipe.send(True)
-        while pipe.recv():
-            carried.step()
-            pipe.send(True)
+def _make_cloths(count: int, resolution: int) -> None:
+    _process_cloths.append(CarriedCloths(count, resolution, threads=1))
+
+
+def _step_cloths() -> None:
+    _process_cloths[0].step()
 
 
 class RolloutBatch:
@@ -191,7 +180,7 @@ def memory(count: int, resolution: int) -> tuple[float, float]:
     """
     cases = [(cloths, resolution) for cloths in (count, 3 * count)]
     # In separate processes: a process returns little memory to the system and reuses it for the next cloths.
-    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+    with get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
         (state, less), (_, more) = pool.starmap(_memory_use, cases, chunksize=1)
     return state, (more - less) / (2 * count)
 
@@ -296,9 +285,9 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
     with (
         CarriedCloths(count, options.resolution, threads=1) as one_thread,
         CarriedCloths(count, options.resolution, threads=2) as two_threads,
-        ProcessPair(count, options.resolution) as apart,
+        process_pair(count, options.resolution) as step_apart,
     ):
-        steps = {"one": one_thread.step, "two": two_threads.step, "apart": apart.step}
+        steps = {"one": one_thread.step, "two": two_threads.step, "apart": step_apart}
         turns = time_interleaved(steps, seconds=options.seconds)
         report.require(one_thread.digests() == two_threads.digests(), "two threads gave other bits than one")
     gain = turns.ratio("one", "two")
