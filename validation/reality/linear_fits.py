@@ -9,12 +9,13 @@ independent. Noise model, weights and intervals are those of the program. Such a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros import Scene
 from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel, alignment_derivatives
 from cloth_sim_ros.fit.clusters import Covariance, jackknife_covariance, noise_covariance
 from cloth_sim_ros.fit.difference_steps import DifferenceSteps
@@ -53,13 +54,28 @@ class Linearized:
     response: Derivatives
 
 
-def prepare(recordings: Sequence[Recording], parameters: Sequence[FitParameter], pool: TrajectoryPool) -> JointProblem:
-    """Return the least-squares problem of recordings, with the right particles held."""
-    model = AlignmentModel(
-        n_recordings=len(recordings), time=SHARED, camera=SHARED, has_shift=True, pivot=pivot_of(recordings)
-    )
-    scene = samples.swing_scene({})
-    prepared = [motion_recording(r, scene, selections(samples.HELD), max_offset=model.max_offset) for r in recordings]
+def prepare(
+    recordings: Sequence[Recording],
+    parameters: Sequence[FitParameter],
+    pool: TrajectoryPool,
+    scene: Scene | None = None,
+    held: Mapping[str, tuple[int, ...]] = samples.HELD,
+    pivot: tuple[float, ...] | None = None,
+) -> JointProblem:
+    """Return the least-squares problem of recordings, with the right particles held.
+
+    Args:
+        recordings: the recordings.
+        parameters: unknowns besides the alignment.
+        pool: processes of the simulations.
+        scene: the cloth; by default that of the synthetic swings.
+        held: held particles, by gripper.
+        pivot: centre of the camera's rotation [m]; by default that of the recordings.
+    """
+    pivot = pivot_of(recordings) if pivot is None else pivot
+    model = AlignmentModel(n_recordings=len(recordings), time=SHARED, camera=SHARED, has_shift=True, pivot=pivot)
+    scene = samples.swing_scene({}) if scene is None else scene
+    prepared = [motion_recording(r, scene, selections(held), max_offset=model.max_offset) for r in recordings]
     return JointProblem(
         recordings=prepared,
         used=[np.arange(len(r.clouds)) for r in recordings],
@@ -283,11 +299,20 @@ def held_out(
     recorded = _recorded(linearized, exact, seed, pool, motions)
     problem, response = recorded.problem, recorded.seen(linearized.response)
     point = recorded.moved(problem.start + fit.errors, fit.eta, response)
-    models = [score([np.linalg.norm(r, axis=1) for r in part]) for part in point.residuals]
+    models, rigid = motion_scores(point), rigid_scores(problem, point)
     floors, _ = driven_floors(problem, point, recorded.selected)
-    rigid = [score(rigid_distances(problem, k, trajectory, fit.eta)) for k, trajectory in enumerate(point.trajectories)]
     rms = [score([entry.distances for entry in entries]).rms for entries in (models, rigid, floors)]
     return HeldOut(models=models, floors=floors, rms=rms[0], rigid=rms[1], floor=rms[2])
+
+
+def motion_scores(point: Point) -> list[Score]:
+    """Return the errors of the simulated cloth in each motion."""
+    return [score([np.linalg.norm(r, axis=1) for r in part]) for part in point.residuals]
+
+
+def rigid_scores(problem: JointProblem, point: Point) -> list[Score]:
+    """Return the errors of the cloth that its grippers carry rigidly, in each motion."""
+    return [score(rigid_distances(problem, k, x, point.eta)) for k, x in enumerate(point.trajectories)]
 
 
 @attrs.frozen(kw_only=True, eq=False)

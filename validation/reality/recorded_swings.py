@@ -18,20 +18,16 @@ from pathlib import Path
 import numpy as np
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.fit.alignment import SHARED, AlignmentModel
 from cloth_sim_ros.fit.bag import read_recording
-from cloth_sim_ros.fit.hypotheses import pivot_of, selections
-from cloth_sim_ros.fit.joint import JointProblem
 from cloth_sim_ros.fit.joint_solver import replace_alignment
 from cloth_sim_ros.fit.parameters import choose_parameters
 from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.scores import Score, driven_floors, pooled_score, rigid_distances, score
-from cloth_sim_ros.fit.screening import UnusedClouds, screen_clouds
-from cloth_sim_ros.fit.start import motion_recording
+from cloth_sim_ros.fit.scores import Score, driven_floors, pooled_score, score
+from cloth_sim_ros.fit.screening import screen_clouds
 from cloth_sim_ros.fit.trajectory import TrajectoryPool
 from cloth_sim_ros.physics.model.forces.force import Array
-from validation.reality.linear_fits import start_point
+from validation.reality.linear_fits import motion_scores, prepare, rigid_scores, start_point
 from validation.report import Report, print_progress
 
 #: Topics of the clouds and of the arm's tool.
@@ -98,32 +94,17 @@ class _Evaluation:
         parameters = choose_parameters(scene, ["damping"])
         if values:
             parameters = choose_parameters(scene, list(values), values)
-        model = AlignmentModel(
-            n_recordings=len(recordings),
-            time=SHARED,
-            camera=SHARED,
-            has_shift=True,
-            pivot=pivot_of(recordings) if pivot is None else pivot,
-        )
-        prepared = [motion_recording(r, scene, selections(HELD), max_offset=model.max_offset) for r in recordings]
-        screened = screen_clouds(prepared)
-        self.left_out: UnusedClouds = screened.left_out()
+        self.problem = prepare(recordings, parameters, pool, scene, HELD, pivot)
+        screened = screen_clouds(self.problem.recordings)
+        self.left_out, self.problem.used = screened.left_out(), list(screened.used)
         self.n_clouds = sum(len(used) for used in screened.used)
-        problem = JointProblem(
-            recordings=prepared, used=list(screened.used), parameters=parameters, alignment=model, pool=pool
-        )
-        self.problem, self.point = problem, start_point(problem)
+        self.point = start_point(self.problem)
         self.align(self.point.eta)
 
     def align(self, eta: Array) -> None:
         """Use another time offset and camera pose."""
         self.point = replace_alignment(self.problem, self.point, range(len(self.problem.recordings)), eta)
-        self.motions = [score([np.linalg.norm(r, axis=1) for r in part]) for part in self.point.residuals]
-
-    def rigid(self) -> list[Score]:
-        """Return the errors of the cloth that its corners carry rigidly, for each motion."""
-        point = self.point
-        return [score(rigid_distances(self.problem, k, x, point.eta)) for k, x in enumerate(point.trajectories)]
+        self.motions = motion_scores(self.point)
 
     def still(self) -> Score:
         """Return the errors in clouds of a cloth that is nearly at rest: those of the camera, all over the sheet."""
@@ -161,7 +142,7 @@ def run(options: argparse.Namespace) -> Report:
     table = report.add_table("Distances of the points from the simulated cloth", columns)
     with TrajectoryPool(options.workers) as pool:
         plain = _Evaluation(recordings, {}, pool)
-        rigid = plain.rigid()
+        rigid = rigid_scores(plain.problem, plain.point)
         print_progress(f"defaults: {_pooled(plain.motions).rms * 1e3:.1f} mm rms")
         identified = _Evaluation(recordings, {}, pool, material=IDENTIFIED)
         begin = time.perf_counter()
