@@ -89,10 +89,6 @@ class NewtonEngine:
         """Positions [m], (n, 3)."""
         return self._states[self._turn].particle_q.numpy().astype(np.float64)
 
-    def remarks(self) -> list[str]:
-        """Nothing to add."""
-        return []
-
 
 class NewtonContactEngine(NewtonEngine):
     """Scenes with contact by penalties: a shell of triangles; variants vbd and style3d."""

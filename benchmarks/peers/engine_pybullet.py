@@ -65,10 +65,6 @@ class PyBulletEngine:
         _, places = self._bullet.getMeshData(self._body, -1, flags=self._bullet.MESH_DATA_SIMULATION_MESH)
         return np.array(places)
 
-    def remarks(self) -> list[str]:
-        """Nothing to add."""
-        return []
-
 
 class PyBulletContactEngine(PyBulletEngine):
     """Scenes with contact; one variant."""

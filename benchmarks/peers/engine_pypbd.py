@@ -47,10 +47,6 @@ class PyPbdEngine:
         turned = np.array(self._particles.getVertices()).reshape(-1, 3)
         return np.stack([turned[:, 0], -turned[:, 2], turned[:, 1]], axis=1)
 
-    def remarks(self) -> list[str]:
-        """Nothing to add."""
-        return []
-
 
 #: Name by which `runner` loads the class.
 Engine = PyPbdEngine

@@ -31,17 +31,8 @@ from validation.report import Report, print_progress
 #: Variables that point another Python to this environment or to a sourced ROS: library and module paths, and the guard
 #: with which the ROS wheels mark a library path that is already set.
 _LEADING_BACK = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-#: Messages of pip without a network. Its final message, that there is no such version, misleads.
-NO_NETWORK = (
-    "NewConnectionError",
-    "Name or service not known",
-    "Temporary failure in name resolution",
-    "connection broken",
-    "Network is unreachable",
-    "Connection refused",
-    "timed out",
-    "ProxyError",
-)
+#: Part of pip's warning before it tries again without a network. Its final message, no such version, misleads.
+_NO_NETWORK = "connection broken by"
 _UNREACHABLE = "it is not installed, and the package index is out of reach"
 
 
@@ -175,7 +166,7 @@ def _install(folder: Path, packages: tuple[str, ...]) -> str:
     if not done.returncode:
         return ""
     output = done.stderr + done.stdout
-    if any(text in output for text in NO_NETWORK):
+    if _NO_NETWORK in output:
         return _UNREACHABLE
     if "No matching distribution" in output:
         version = ".".join(str(part) for part in sys.version_info[:2])
@@ -301,18 +292,7 @@ def thread_edges(rows: int, columns: int) -> NDArray[np.int64]:
     return np.concatenate([np.stack([first.ravel(), second.ravel()], axis=1) for first, second in ends])
 
 
-def attempt(
-    peer: Peer,
-    sheet: Path,
-    steps: int,
-    *,
-    environment: Path,
-    frames: int,
-    seconds: float,
-    whole: float,
-    threads: int = 1,
-    **scene: Any,
-) -> Attempt:
+def attempt(peer: Peer, sheet: Path, steps: int, *, environment: Path, threads: int = 1, **job: Any) -> Attempt:
     """Run an engine with fixed steps per frame, in a process of the peers' environment.
 
     Args:
@@ -320,17 +300,14 @@ def attempt(
         sheet: the tables of `sheet_tables`, as npz.
         steps: steps per frame of 1/60 s.
         environment: where the engines are installed.
-        frames: maximum number of frames.
-        seconds: limit of the wall time of the steps [s].
-        whole: stretch of an edge above which the sheet is torn and the run ends.
         threads: limit for engines with several threads.
-        scene: `record` and `hold` of a scene with contact; see `runner`.
+        job: `frames`, `seconds`, `whole`, and `record` and `hold` of a scene with contact; see `runner`.
 
     Raises:
         PeerFailed: if the engine gives no result.
     """
-    job = {"sheet": str(sheet.absolute()), "steps": steps, "frames": frames, "seconds": seconds, "whole": whole}
-    job |= {**scene, "script": peer.script, "variant": peer.variant, "frame": PERIOD}
+    job |= {"sheet": str(sheet.absolute()), "steps": steps, "frame": PERIOD}
+    job |= {"script": peer.script, "variant": peer.variant}
     variables = clean_variables(
         OMP_NUM_THREADS=str(threads),
         OPENBLAS_NUM_THREADS=str(threads),
@@ -339,7 +316,7 @@ def attempt(
     )
     python = python_of(environment.absolute())
     command = [str(python), "-I", str(Path(__file__).with_name("runner.py"))]
-    limit = _START_TIMEOUT + 2.0 * seconds
+    limit = _START_TIMEOUT + 2.0 * job["seconds"]
     try:
         done = subprocess.run(
             command,

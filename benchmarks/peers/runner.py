@@ -14,9 +14,9 @@ writes the positions of particles and pads at every whole frame to the npz file 
 frames in which particles are held.
 
 The constructor `Engine(sheet, step, variant)` compiles everything. An engine has `advance(steps)`, `positions()` [m]
-of shape (particle_count, 3), `remarks()`, and `distributions`, the names of its packages. A `ContactEngine` also has
-`pads()`, the centres of the pads [m], shape (2, 3), or (0, 3) without pads. Its `lead(begin, end, steps)` moves held
-particles between positions [m] in the next steps, and `let_go()` releases them.
+of shape (particle_count, 3), and `distributions`, the names of its packages. It may have `remarks()`. A
+`ContactEngine` also has `pads()`, the centres of the pads [m], shape (2, 3), or (0, 3) without pads. Its
+`lead(begin, end, steps)` moves held particles between positions [m] in the next steps, and `let_go()` releases them.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def measure(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str
     if recorded:
         np.savez(job["record"], frames=np.array(frames), pads=np.array(pads))
     result = {"whole": whole, "stretch": largest, "n_steps": n_steps, "wall": wall, "cpu": cpu}
-    return result | {"remarks": engine.remarks()}
+    return result | {"remarks": engine.remarks() if hasattr(engine, "remarks") else []}
 
 
 def advance_frame(engine: Any, steps: int, seconds: float) -> tuple[int, float, float]:
