@@ -18,7 +18,7 @@ import argparse
 import gc
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -227,53 +227,40 @@ def robot_parameters(folder: Path) -> list[str]:
     return ["robot.enabled:=true", f"robot.description_file:={file}", f"robot.position:={position}"]
 
 
-def recording_parameters(*, resolution: tuple[int, int], rate: float, folder: Path) -> list[str]:
+def recording_parameters(options: argparse.Namespace, folder: Path) -> list[str]:
     """Return the parameters of a recording node whose grip holds only the corner, which moves with the gripper."""
     return [
-        f"cloth.resolution:=[{resolution[0]}, {resolution[1]}]",
-        f"rate:={rate}",
-        f"gripper.radius:={0.7 / max(resolution)}",
+        f"cloth.resolution:={list(options.resolution)}",
+        f"rate:={options.rate}",
+        f"gripper.radius:={0.7 / max(options.resolution)}",
         "record.enabled:=true",
         f"record.folder:={folder}",
     ]
 
 
-def measure(
-    *,
-    resolution: tuple[int, int],
-    rate: float,
-    stream: float,
-    seconds: float,
-    further: Sequence[str] = (),
-    joint_states: bool = False,
-) -> tuple[np.ndarray, dict[str, Any]]:
+def measure(options: argparse.Namespace) -> tuple[np.ndarray, dict[str, Any]]:
     """Measure the latencies of a new node [s]; return them and their figures.
-
-    Args:
-        resolution: rows and columns of the cloth.
-        rate: frames a second.
-        stream: targets a second.
-        seconds: duration of the counted targets [s].
-        further: parameters of the node, ``name:=value``.
-        joint_states: true to lead a link by joint states instead of the gripper by targets.
 
     Raises:
         RuntimeError: if the node ends, or does not answer.
     """
-    make_probe = JointStateProbe if joint_states else LatencyProbe
+    make_probe = JointStateProbe if options.joint_states else LatencyProbe
     with tempfile.TemporaryDirectory() as folder:
-        parameters = recording_parameters(resolution=resolution, rate=rate, folder=Path(folder))
-        parameters += robot_parameters(Path(folder)) if joint_states else []
-        with node_process([], [*parameters, *further]) as node, make_probe(stream=stream, measured=node) as probe:
+        parameters = recording_parameters(options, Path(folder))
+        parameters += robot_parameters(Path(folder)) if options.joint_states else []
+        with (
+            node_process([], [*parameters, *options.parameters]) as node,
+            make_probe(stream=options.stream, measured=node) as probe,
+        ):
             probe.hold()
-            probe.lead(seconds)
+            probe.lead(options.seconds)
         latencies = probe.latencies(Path(folder))
     figures = latency_figures(
         latencies,
         particles=probe.particles,
-        rate=rate,
+        rate=options.rate,
         diagnostics=probe.diagnostics,
-        joint_states=joint_states,
+        joint_states=options.joint_states,
     )
     return latencies, figures
 
@@ -290,6 +277,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def figures(options: argparse.Namespace) -> dict[str, Any]:
     """Return the percentiles of the latencies."""
-    values = {name: getattr(options, name) for name in ("rate", "stream", "seconds", "joint_states")}
     with ros_context():
-        return measure(resolution=tuple(options.resolution), further=options.parameters, **values)[1]
+        return measure(options)[1]

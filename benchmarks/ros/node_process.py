@@ -21,7 +21,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from cloth_sim_ros.session.child_process import child_environment, module_command
 from validation.command import child_process_arguments
 
 #: Longest wait for the start of a node, its end, an answer, or a cloud [s].
@@ -81,12 +80,11 @@ def node_process(
 
 
 @contextlib.contextmanager
-def module_process(module: str, *arguments: str) -> Iterator[NodeProcess]:
-    """Run a module of the package with a node; at the end interrupt it, and kill it after a timeout."""
+def module_process(module: str, *arguments: str, patience: float = PATIENCE) -> Iterator[NodeProcess]:
+    """Run a module of this repository with a node; at the end interrupt it, and kill it after `patience` [s]."""
     with tempfile.NamedTemporaryFile(suffix=".log") as log:
         process = subprocess.Popen(
-            module_command(module, *arguments),
-            env=child_environment(),
+            **child_process_arguments(module, *arguments),
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
@@ -96,26 +94,9 @@ def module_process(module: str, *arguments: str) -> Iterator[NodeProcess]:
         finally:
             process.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(timeout=PATIENCE)
+                process.wait(timeout=patience)
             process.kill()
             process.wait()
-
-
-@contextlib.contextmanager
-def listener_process(topic: str, *arguments: str) -> Iterator[None]:
-    """Run `benchmarks.ros.listener` as subscriber of a topic, in its own process."""
-    # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
-    process = subprocess.Popen(
-        **child_process_arguments("benchmarks.ros.listener", topic, *arguments),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        yield
-    finally:
-        # It has nothing to clean up, and rclpy may hang after a signal.
-        process.kill()
-        process.wait()
 
 
 @contextlib.contextmanager

@@ -25,7 +25,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from benchmarks.ros.listener import LINE
-from benchmarks.ros.node_process import PATIENCE, listener_process, ros_context
+from benchmarks.ros.node_process import PATIENCE, module_process, ros_context
 from cloth_sim_ros.ros.node import ClothNode
 
 #: A cloth with few steps per frame, and one that also falls asleep.
@@ -68,13 +68,14 @@ def stream_figures(
     }
 
 
-def measure(resolution: int, *, seconds: float, rate: float, moving: bool = False) -> dict[str, Any]:
-    """Run a node with `resolution` particles a side for some time [s] at a rate [Hz].
+def measure(resolution: int, options: argparse.Namespace) -> dict[str, Any]:
+    """Run a node with `resolution` particles a side.
 
     Raises:
         RuntimeError: if no subscriber comes, or a cloth that should sleep does not.
     """
-    values = {"cloth.resolution": [resolution, resolution], "rate": rate, **(_MOVING if moving else _RESTING)}
+    values = {"cloth.resolution": [resolution, resolution], "rate": options.rate}
+    values |= _MOVING if options.moving else _RESTING
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     cloth = ClothNode(f"stream_{os.getpid()}_{resolution}", parameter_overrides=overrides)
     executor = SingleThreadedExecutor()
@@ -85,15 +86,16 @@ def measure(resolution: int, *, seconds: float, rate: float, moving: bool = Fals
             file.touch()
             cloth.warm_up()
             topic = f"{cloth.node.get_fully_qualified_name()}/points"
-            with listener_process(topic, str(file)):
-                return _stream(cloth, executor, file, seconds=seconds, rate=rate, moving=moving)
+            # The subscriber has nothing to clean up, and rclpy may hang after a signal.
+            with module_process("benchmarks.ros.listener", topic, str(file), patience=0.0):
+                return _stream(cloth, executor, file, options)
     finally:
         cloth.close()
         executor.shutdown()
 
 
 def _stream(
-    cloth: ClothNode, executor: SingleThreadedExecutor, file: Path, *, seconds: float, rate: float, moving: bool
+    cloth: ClothNode, executor: SingleThreadedExecutor, file: Path, options: argparse.Namespace
 ) -> dict[str, Any]:
     def spin(condition: Callable[[], bool]) -> None:
         while not condition():
@@ -114,17 +116,17 @@ def _stream(
     gc.freeze()
     cloth.start()
     end = time.monotonic() + PATIENCE
-    spin(lambda: time.monotonic() > end or (received() > 0 and (moving or cloth.simulation.asleep)))
+    spin(lambda: time.monotonic() > end or (received() > 0 and (options.moving or cloth.simulation.asleep)))
     if not received():
         raise RuntimeError(f"no cloud was received in {PATIENCE:g} s")
-    if not (moving or cloth.simulation.asleep):
+    if not (options.moving or cloth.simulation.asleep):
         raise RuntimeError(f"the cloth did not fall asleep in {PATIENCE:g} s")
     _wait_until_quiet(received)
     sent, got = cloth.published, received()
     # Frames due during the pause are not counted: the measured interval begins later.
     spin_to_next(time.monotonic() + _FIRST)
     late, busy, begun = cloth.timing.tally.late, cloth.timing.tally.busy, time.monotonic()
-    spin_to_next(begun + seconds)
+    spin_to_next(begun + options.seconds)
     ended = time.monotonic()
     load = (cloth.timing.tally.busy - busy) / (ended - begun)
     late = cloth.timing.tally.late - late
@@ -136,7 +138,7 @@ def _stream(
         raise RuntimeError(f"of {sent} clouds {len(lines)} were received, too few to tell a rate")
     return stream_figures(
         points=cloth.simulation.state.particle_count,
-        rate=rate,
+        rate=options.rate,
         asleep=cloth.simulation.asleep,
         sent=sent,
         received=len(lines),
@@ -175,6 +177,5 @@ def figures(options: argparse.Namespace) -> list[dict[str, Any]]:
     least = 2.0 / options.rate
     if not options.seconds >= least:
         raise ValueError(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
-    common = {"seconds": options.seconds, "rate": options.rate, "moving": options.moving}
     with ros_context():
-        return [measure(resolution, **common) for resolution in options.resolutions]
+        return [measure(resolution, options) for resolution in options.resolutions]

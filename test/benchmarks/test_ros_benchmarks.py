@@ -5,6 +5,7 @@
 import json
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -87,10 +88,11 @@ def test_stream_counts_sent_and_received_clouds(moving):
 @pytest.mark.parametrize("joint_states", [False, True], ids=["targets", "joint states"])
 def test_latencies_are_measured(ros_domain: int, joint_states: bool) -> None:
     # The values depend on the load of the machine and are not checked.
-    options = {"resolution": (8, 8), "rate": 60.0, "stream": 100.0, "seconds": 0.5, "joint_states": joint_states}
+    options = Namespace(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5, parameters=[])
+    options.joint_states = joint_states
     rclpy.init(args=[])
     try:
-        latencies, figures = latency.measure(**options)
+        latencies, figures = latency.measure(options)
     finally:
         rclpy.try_shutdown()
     assert figures["particles"] == 64
