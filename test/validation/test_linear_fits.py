@@ -32,8 +32,8 @@ def test_clouds_after_a_late_start_are_compared_at_their_times() -> None:
         truth = aligned(problem, start)
         exact = {motion: frames}
         point = attrs.evolve(truth, trajectories={motion: truth.trajectories[0]})
-        whole = {motion: problem.recordings[0]}
-        clouds = LossyClouds.at_truth(parameters, whole, point, exact, seed, [motion], pool)
+        problem.recordings = {motion: problem.recordings[0]}
+        clouds = LossyClouds.at_truth(problem, point, exact, seed, [motion])
     assert problem.alignment.alignment(truth.eta, 0).offset == pytest.approx(samples.DELAY, abs=2e-3)
     errors = np.concatenate([np.linalg.norm(r, axis=1) for r in clouds.point.residuals[0]])
     sizes = samples.NOISE * samples.noise_amplitudes(motion, seed)[clouds.rows[0][0]]
@@ -56,7 +56,7 @@ def fit_with(error: float, deviation: float, freedom: float) -> LinearFit:
         has_intervals=True,
     )
     none = np.zeros(1)
-    return LinearFit(errors=np.array([error]), eta=none, covariance=covariance, best=none, naive=none)
+    return LinearFit(errors=np.array([error]), eta=none, covariance=covariance, best=none)
 
 
 def test_halves_agree_within_the_interval_of_their_difference() -> None:

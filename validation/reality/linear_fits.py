@@ -27,7 +27,7 @@ from cloth_sim_ros.fit.motions_result import TOLERANCE
 from cloth_sim_ros.fit.noise import HUBER
 from cloth_sim_ros.fit.parameters import FitParameter, choose_parameters
 from cloth_sim_ros.fit.recorded import Recording
-from cloth_sim_ros.fit.recording import FitRecording, visible_mask
+from cloth_sim_ros.fit.recording import visible_mask
 from cloth_sim_ros.fit.rest_shapes import choose_rest_shapes
 from cloth_sim_ros.fit.scores import Score, driven_floors, rigid_distances, score
 from cloth_sim_ros.fit.short_waves import missing_information
@@ -44,9 +44,8 @@ _ITERATIONS = 5
 class Linearized:
     """Motions at the true parameters, and their derivatives at all particles and clouds."""
 
-    parameters: tuple[FitParameter, ...]
-    #: Complete, noise-free clouds, and the state of a problem with them.
-    recordings: Sequence[FitRecording]
+    #: Problem with complete, noise-free clouds, and its state.
+    problem: JointProblem
     point: Point
     #: Derivatives by the last two linearizations.
     derivatives: Derivatives
@@ -115,7 +114,7 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
     selected = range(len(whole))
     problem.offsets = (samples.DELAY - 0.1, samples.DELAY + 0.1)
     point = aligned(problem, start_point(problem))
-    recorded = LossyClouds.at_truth(parameters, problem.recordings, point, exact, seed, selected, pool)
+    recorded = LossyClouds.at_truth(problem, point, exact, seed, selected)
     steps, previous = DifferenceSteps.initial(len(parameters)), None
     for _ in range(MAX_LINEARIZATIONS):
         derivatives = problem.differentiate(point, selected, steps.steps, TOLERANCE, central=True)
@@ -126,13 +125,7 @@ def linearize(exact: Sequence[Array], seed: int, pool: TrajectoryPool) -> Linear
             break
         previous = derivatives
     response = problem.differentiate(point, selected, steps.steps, TOLERANCE, central=True)
-    return Linearized(
-        parameters=parameters,
-        recordings=problem.recordings,
-        point=point,
-        derivatives=derivatives,
-        response=response,
-    )
+    return Linearized(problem=problem, point=point, derivatives=derivatives, response=response)
 
 
 def aligned(problem: JointProblem, point: Point) -> Point:
@@ -160,24 +153,18 @@ class LossyClouds:
 
     @classmethod
     def at_truth(
-        cls,
-        parameters: Sequence[FitParameter],
-        whole: Sequence[FitRecording],
-        truth: Point,
-        exact: Sequence[Array],
-        seed: int,
-        motions: Sequence[int],
-        pool: TrajectoryPool,
+        cls, whole: JointProblem, truth: Point, exact: Sequence[Array], seed: int, motions: Sequence[int]
     ) -> LossyClouds:
+        """Return the clouds of a seed; `whole` and `truth` are the problem with complete clouds and its state."""
         recordings = [samples.record_motion(k, exact[k], seed) for k in motions]
-        problem = prepare(recordings, parameters, pool)
+        problem = prepare(recordings, whole.parameters, whole.pool)
         rows = [
             (np.rint(entry.times * samples.CLOUD_RATE).astype(np.int64), [visible_mask(c) for c in entry.clouds])
             for entry in recordings
         ]
         # Trajectories count frames from the start of the complete recordings.
         problem.recordings = [
-            attrs.evolve(recording, frames=whole[k].frames[stamps], events=whole[k].events)
+            attrs.evolve(recording, frames=whole.recordings[k].frames[stamps], events=whole.recordings[k].events)
             for k, recording, (stamps, _) in zip(motions, problem.recordings, rows, strict=True)
         ]
         selected = range(len(motions))
@@ -224,18 +211,10 @@ class LossyClouds:
         return attrs.evolve(base, theta=theta, residuals=residuals)
 
 
-def _recorded(
-    linearized: Linearized, exact: Sequence[Array], seed: int, pool: TrajectoryPool, motions: Sequence[int]
-) -> LossyClouds:
-    parts = linearized.parameters, linearized.recordings, linearized.point
-    return LossyClouds.at_truth(*parts, exact, seed, motions, pool)
-
-
 def linear_fit(
     linearized: Linearized,
     exact: Sequence[Array],
     seed: int,
-    pool: TrajectoryPool,
     motions: Sequence[int] | None = None,
     *,
     has_best: bool = True,
@@ -246,13 +225,12 @@ def linear_fit(
         linearized: derivatives of all motions.
         exact: true frames of each motion, possibly of another model.
         seed: seed of the camera.
-        pool: processes of the simulations.
         motions: indices of the fitted motions; default: all.
         has_best: true to compute the best possible deviations.
     """
     motions = range(len(exact)) if motions is None else motions
-    recorded = _recorded(linearized, exact, seed, pool, motions)
-    problem, point, p = recorded.problem, recorded.point, len(linearized.parameters)
+    recorded = LossyClouds.at_truth(linearized.problem, linearized.point, exact, seed, motions)
+    problem, point, p = recorded.problem, recorded.point, len(linearized.problem.parameters)
     selected = recorded.selected
     derivatives, response = recorded.seen(linearized.derivatives), recorded.seen(linearized.response)
     noise = problem.smooth_noise(point, selected, HUBER)
@@ -270,7 +248,6 @@ def linear_fit(
         eta=point.eta,
         covariance=covariance,
         best=best_deviations(recorded, solution, seed) if has_best else np.full(p, np.nan),
-        naive=np.sqrt(np.diag(np.linalg.inv(matrix))[:p]),
     )
 
 
@@ -288,15 +265,10 @@ class HeldOut:
 
 
 def held_out(
-    linearized: Linearized,
-    exact: Sequence[Array],
-    seed: int,
-    pool: TrajectoryPool,
-    motions: Sequence[int],
-    fit: LinearFit,
+    linearized: Linearized, exact: Sequence[Array], seed: int, motions: Sequence[int], fit: LinearFit
 ) -> HeldOut:
     """Return the errors of a fit in motions that it did not use."""
-    recorded = _recorded(linearized, exact, seed, pool, motions)
+    recorded = LossyClouds.at_truth(linearized.problem, linearized.point, exact, seed, motions)
     problem, response = recorded.problem, recorded.seen(linearized.response)
     point = recorded.moved(problem.start + fit.errors, fit.eta, response)
     models, rigid = motion_scores(point), rigid_scores(problem, point)
@@ -325,8 +297,6 @@ class LinearFit:
     covariance: Covariance
     #: Best possible standard deviations, shape (p,); NaN if they are not computed.
     best: Array
-    #: Standard deviations if the noise model were right, shape (p,).
-    naive: Array
 
     def reach(self, level: float) -> Array:
         """Return the half width of the intervals of the logarithms, shape (p,)."""

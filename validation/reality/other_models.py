@@ -78,8 +78,8 @@ def run(options: argparse.Namespace) -> Report:
             cases = []
             for seed in range(options.first, options.first + n_fits):
                 inside, outside = halves_of(options.motions, seed)
-                fits = [linear_fit(linearized, exact, seed, pool, part, has_best=False) for part in (inside, outside)]
-                errors_outside = held_out(linearized, exact, seed, pool, outside, fits[0])
+                fits = [linear_fit(linearized, exact, seed, part, has_best=False) for part in (inside, outside)]
+                errors_outside = held_out(linearized, exact, seed, outside, fits[0])
                 cases.append(Halves(first=fits[0], second=fits[1], held_out=errors_outside))
             print_progress(f"{name}: {n_fits} fits")
             consistent = np.array([case.are_consistent(LEVEL) for case in cases])

@@ -131,9 +131,8 @@ def _report_linear(report: Report, options: argparse.Namespace) -> None:
     exact = [samples.exact_motion(k, samples.TRUTH) for k in range(options.motions)]
     with TrajectoryPool(options.workers) as pool:
         linearized = linearize(exact, options.first, pool)
-        fits = [
-            linear_fit(linearized, exact, seed, pool) for seed in range(options.first, options.first + options.linear)
-        ]
+        seeds = range(options.first, options.first + options.linear)
+        fits = [linear_fit(linearized, exact, seed) for seed in seeds]
     report.tables.append(linear_table(fits, options.motions))
     covered = [bool(c) for fit in fits for c in np.abs(fit.errors) <= fit.reach(LEVEL)]
     _check_coverage(report, "linear", covered, len(fits))
