@@ -7,23 +7,22 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import multiprocessing
+import os
 import time
 import types
 import typing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import attrs
 
+from cloth_sim_ros.session.child_process import exit_with_parent
 from validation.report import Report
 
 C = TypeVar("C")
 R = TypeVar("R")
-_CONTEXT = multiprocessing.get_context("spawn")
 
 
 @attrs.frozen
@@ -43,28 +42,32 @@ class _Worker(Generic[C, R]):
     """One process, which runs one case at a time."""
 
     def __init__(self, run: Callable[[C], R]) -> None:
-        self._connection, child_connection = _CONTEXT.Pipe()
-        self.process = _CONTEXT.Process(target=_serve, args=(child_connection, run), daemon=True)
-        self.process.start()
-        child_connection.close()
-        try:
-            # The start of the process is not timed.
-            self._connection.recv()
-        except EOFError:
-            raise RuntimeError("a worker process ended before its first case; its output states the cause") from None
+        from loky.process_executor import ProcessPoolExecutor
+
+        self._run = run
+        self._executor = ProcessPoolExecutor(1, initializer=exit_with_parent, initargs=(os.getpid(),))
+        # The start of the process and its imports are not timed.
+        self._executor.submit(callable, run).result()
 
     def run(self, case: C, limit: float) -> CaseResult[C, R]:
         """Run a case; after a time limit [s] kill the process."""
-        begin, trouble = time.monotonic(), "its process ended"
+        from loky.process_executor import TerminatedWorkerError
+
+        begin = time.monotonic()
         try:
-            self._connection.send(case)
-            if self._connection.poll(limit):
-                return CaseResult(case, self._connection.recv(), time.monotonic() - begin)
+            return CaseResult(case, self._executor.submit(self._run, case).result(limit), time.monotonic() - begin)
+        except TimeoutError:
             trouble = f"took longer than {limit:g} s"
-        except (EOFError, OSError):
-            pass
-        self.process.kill()
+        except TerminatedWorkerError:
+            trouble = "its process ended"
+        except Exception as error:
+            trouble = f"{type(error).__name__}: {error}"
+        self.kill()
         return CaseResult(case, None, time.monotonic() - begin, trouble)
+
+    def kill(self) -> None:
+        """End the process."""
+        self._executor.shutdown(kill_workers=True)
 
 
 @attrs.frozen
@@ -102,7 +105,7 @@ class CasePool:
         finally:
             threads.shutdown(wait=False, cancel_futures=True)
             for worker in workers:
-                worker.process.kill()
+                worker.kill()
 
     def run_missing(
         self, run: Callable[[C], R], cases: Sequence[C], kinds: tuple[Any, Any]
@@ -194,14 +197,3 @@ def restored(kind: Any, value: Any) -> Any:
 def _to_python(scalar: Any) -> Any:
     """Convert a numpy scalar to a Python number."""
     return scalar.item()
-
-
-def _serve(connection: Connection, run: Callable[[C], R]) -> None:
-    """Run cases in a worker process until its connection closes."""
-    connection.send(None)
-    while True:
-        try:
-            case = connection.recv()
-        except EOFError:
-            return
-        connection.send(run(case))
