@@ -49,8 +49,6 @@ class RecoveryStatistics:
     starts: int
     #: Number of starts that rest in another shape, or that do not come to rest.
     missed: int
-    #: Steps until the slowest of them is at rest.
-    max_steps: int
     #: Largest rise of the total energy between two checks in the last tenth of any motion, over k7 L².
     late_energy_rise: float
 
@@ -124,7 +122,7 @@ def simulate_recovery(
     step = 0.25 / math.sqrt(edge_stiffness + ratio_second + 1.0)
     hinge = (h0, ratio_second, damping * math.sqrt(ratio_second))
     tetrahedra = _Tetrahedra((lengths, stiffness, k_d), hinge, model, len(x))
-    steps, rise = _come_to_rest(x, tetrahedra, step, limit)
+    rise = _come_to_rest(x, tetrahedra, step, limit)
     final_lengths = np.linalg.norm(x[:, EDGES[:, 1]] - x[:, EDGES[:, 0]], axis=2)
     final_signed_lengths = signed_lengths(_quads(len(x)), _componentwise(x), kind=model)
     length_tolerance = 1e-3 * float(lengths.max())
@@ -133,7 +131,6 @@ def simulate_recovery(
     return RecoveryStatistics(
         starts=len(x),
         missed=int(np.count_nonzero(~is_recovered)),
-        max_steps=int(steps.max(initial=0)),
         late_energy_rise=float(rise.max(initial=0.0) / lengths.max() ** 2),
     )
 
@@ -185,8 +182,8 @@ def _componentwise(x: Array) -> Array:
     return np.ascontiguousarray(x.reshape(-1, 3).T)
 
 
-def _come_to_rest(starts: Array, tetrahedra: _Tetrahedra, step: float, limit: int) -> tuple[NDArray[np.int64], Array]:
-    """Integrate all by the leapfrog until they rest; return the steps of each and its late rise of energy [J].
+def _come_to_rest(starts: Array, tetrahedra: _Tetrahedra, step: float, limit: int) -> Array:
+    """Integrate all by the leapfrog until they rest; return the late rise of energy of each [J].
 
     A check for rest follows every `STEPS_PER_CHECK` steps. A tetrahedron rests if four successive checks find it at
     rest.
@@ -208,10 +205,8 @@ def _come_to_rest(starts: Array, tetrahedra: _Tetrahedra, step: float, limit: in
     checks_until_rest[checks_until_rest == 0] = len(history) - 1
     starts[:] = x.T.reshape(-1, 4, 3)
     energy_rises = np.diff(np.array(history), axis=0)
-    late_rises = np.array(
-        [
-            energy_rises[last_check - last_check // 10 : last_check, k].max(initial=0.0)
-            for k, last_check in enumerate(checks_until_rest.tolist())
-        ]
-    )
-    return STEPS_PER_CHECK * checks_until_rest, late_rises
+    late_rises = [
+        energy_rises[last_check - last_check // 10 : last_check, k].max(initial=0.0)
+        for k, last_check in enumerate(checks_until_rest.tolist())
+    ]
+    return np.array(late_rises)
