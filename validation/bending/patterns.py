@@ -131,8 +131,6 @@ def periodic_triangulation(jitter: float, *, size: int = 12, seed: int = 0, squa
     The particles start at the corners of regular triangles of side 1 m, or of squares with `square`. A jitter of 1 or
     more leaves no trace of the regular lattice.
     """
-    from scipy.spatial import Delaunay
-
     rng = np.random.default_rng(seed)
     row, column = np.divmod(np.arange(size * size), size)
     offset, height = (0.0, 1.0) if square else (0.5, np.sqrt(0.75))
@@ -141,16 +139,23 @@ def periodic_triangulation(jitter: float, *, size: int = 12, seed: int = 0, squa
     period = np.array((size, height * size))
     shifts = np.array([(i, j) for i in (0, -1, 1) for j in (0, -1, 1)]) * period
     positions = (points[None] + shifts[:, None]).reshape(-1, 2)
+    return Triangulation(
+        positions=positions,
+        triangles=delaunay_triangles(positions),
+        periodic_index=np.tile(np.arange(size * size), len(shifts)),
+        period=period,
+    )
+
+
+def delaunay_triangles(positions: Array) -> NDArray[np.int64]:
+    """Return the triangles (m, 3) of the Delaunay triangulation of points (n, 2) [m], anticlockwise."""
+    from scipy.spatial import Delaunay
+
     triangles = Delaunay(positions).simplices.astype(np.int64)
     corners = positions[triangles]
     signed_area = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     triangles[signed_area < 0] = triangles[signed_area < 0, ::-1]
-    return Triangulation(
-        positions=positions,
-        triangles=triangles[np.abs(signed_area) > 1e-9],
-        periodic_index=np.tile(np.arange(size * size), len(shifts)),
-        period=period,
-    )
+    return np.asarray(triangles[np.abs(signed_area) > 1e-9])
 
 
 def triangle_patch(jitter: float, *, size: int = 12, seed: int = 0) -> Patch:

@@ -18,11 +18,11 @@ import math
 import attrs
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay
 from support.garment import as_obj
 
 from cloth_sim_ros import MembraneTriangles, Model, Plan, Scene, compile
 from cloth_sim_ros.physics.model.forces.force import Array
+from validation.bending.patterns import delaunay_triangles
 from validation.command import at_least
 from validation.equilibrium import find_equilibrium
 from validation.report import Report
@@ -139,11 +139,7 @@ def patch_error(sheet: FlatSheet) -> float:
 def _mesh_file(mesh: str, cells: int, length: float, seed: int) -> bytes:
     """Return an OBJ file of a strip in the x-y plane."""
     points = _equilateral_points(cells, length) if mesh == "equilateral" else _irregular_points(cells, length, seed)
-    corners = Delaunay(points).simplices
-    a, b, c = (points[corners[:, i]] for i in range(3))
-    area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    corners = np.where((area < 0.0)[:, None], corners[:, ::-1], corners)[np.abs(area) > 1e-9]
-    return as_obj(np.column_stack([points, np.zeros(len(points))]), corners)
+    return as_obj(np.column_stack([points, np.zeros(len(points))]), delaunay_triangles(points))
 
 
 def _equilateral_points(cells: int, length: float) -> Array:
