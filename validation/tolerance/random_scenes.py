@@ -329,20 +329,28 @@ def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any
     if rng.random() < 0.7:
         # In the other scenes anchors keep their initial velocity.
         velocities[[int(name) for name in anchors if name]] = 0.0
-    tables = {
-        "positions": drawn_alike(positions).tolist(),
-        "velocities": velocities.tolist(),
-        "masses": masses.tolist(),
-        "springs": [[k, k + 1] for k in range(count - 1)],
-        "rest_lengths": rest_lengths.tolist(),
-        "stiffness": (rigidity * np.where(rest_lengths > 0.0, rest_lengths, 1.0)).tolist(),
-        "k_d0": damping,
-    }
+    stiffness = rigidity * np.where(rest_lengths > 0.0, rest_lengths, 1.0)
+    tables = chain_tables(drawn_alike(positions), velocities, masses, rest_lengths, stiffness, damping=damping)
     kind_name = "spring" if count == 2 else f"chain of {count}"
     stiffness_text = "joints" if not rest_lengths.any() else f"{rigidity.min():.2g} to {rigidity.max():.2g} N/m"
     anchor_names = " ".join(anchors) or "none"
     words = ["calm" if calm else "wild", kind_name, stiffness_text, f"k_d0 {damping:.2g}", f"anchors {anchor_names}"]
     return json.dumps(tables).encode(), {"cloth.anchors": anchors, "cloth.size": [float(length.sum()), 1e-6]}, words
+
+
+def chain_tables(
+    positions: Array, velocities: Array, masses: Array, rest_lengths: Array, stiffness: Array, *, damping: float
+) -> dict[str, Any]:
+    """Return a chain of springs between successive particles as tables of `cloth.springs`."""
+    return {
+        "positions": positions.tolist(),
+        "velocities": velocities.tolist(),
+        "masses": masses.tolist(),
+        "springs": [[k, k + 1] for k in range(len(positions) - 1)],
+        "rest_lengths": rest_lengths.tolist(),
+        "stiffness": stiffness.tolist(),
+        "k_d0": damping,
+    }
 
 
 def _alike_or_not(rng: np.random.Generator, count: int, limits: tuple[float, float]) -> Array:

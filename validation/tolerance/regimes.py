@@ -21,7 +21,7 @@ from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.forces.force import Array
 from validation.case_pool import CasePool
 from validation.report import Report, Table
-from validation.tolerance.random_scenes import RandomScene
+from validation.tolerance.random_scenes import RandomScene, chain_tables
 from validation.tolerance.windows import (
     RecordedRun,
     Window,
@@ -181,26 +181,9 @@ def _mixed(count: int) -> tuple[np.random.Generator, Array, Array, Array]:
     return rng, masses, 100.0 * 30.0 ** rng.uniform(0.0, 1.0, count - 1), rng.uniform(0.02, 0.06, count - 1)
 
 
-def _chain(
-    name: str,
-    positions: Array,
-    velocities: Array,
-    masses: Array,
-    rest_lengths: Array,
-    stiffness: Array,
-    damping: float,
-    **more: Any,
-) -> Regime:
-    count = len(positions)
-    tables = {
-        "positions": positions.tolist(),
-        "velocities": velocities.tolist(),
-        "masses": masses.tolist(),
-        "springs": [[k, k + 1] for k in range(count - 1)],
-        "rest_lengths": rest_lengths.tolist(),
-        "stiffness": stiffness.tolist(),
-        "k_d0": damping,
-    }
+def _chain(name: str, *table: Array, damping: float, **more: Any) -> Regime:
+    """Return a chain, anchored at both ends; `table` has the arrays of `chain_tables`."""
+    tables, count = chain_tables(*table, damping=damping), len(table[0])
     words = f"chain of {count}, {name}, {'damped' if damping else 'undamped'}"
     return Regime(words, tables, ("0", str(count - 1)), **more)
 
@@ -216,7 +199,9 @@ def _taut(count: int, damping: float) -> Regime:
     # Small enough that every spring stays taut.
     speed = 0.1 * rest_lengths.min() * np.sqrt(stiffness.min() / masses.max())
     velocities[1:-1, 0] = speed * rng.uniform(-1.0, 1.0, count - 2)
-    return _chain("taut", positions, velocities, masses, rest_lengths, stiffness * rest_lengths, damping, linear=True)
+    return _chain(
+        "taut", positions, velocities, masses, rest_lengths, stiffness * rest_lengths, damping=damping, linear=True
+    )
 
 
 def _joints(count: int, damping: float) -> Regime:
@@ -227,7 +212,7 @@ def _joints(count: int, damping: float) -> Regime:
     positions[1:-1] += 0.01 * rng.normal(size=(count - 2, 3))
     velocities = np.zeros((count, 3))
     velocities[1:-1] = 0.2 * rng.normal(size=(count - 2, 3))
-    return _chain("joints", positions, velocities, masses, 0.0 * rest_lengths, stiffness, damping, linear=True)
+    return _chain("joints", positions, velocities, masses, 0.0 * rest_lengths, stiffness, damping=damping, linear=True)
 
 
 def _slack(count: int, damping: float) -> Regime:
@@ -240,20 +225,14 @@ def _slack(count: int, damping: float) -> Regime:
     positions[1:, 1] = 0.1 * positions[1:, 2]
     more = {"linear": False, "gravity": (0.0, 0.0, -9.81)}
     rigidity = stiffness * rest_lengths
-    return _chain("slack", positions, np.zeros((count, 3)), masses, rest_lengths, rigidity, damping, **more)
+    return _chain("slack", positions, np.zeros((count, 3)), masses, rest_lengths, rigidity, damping=damping, **more)
 
 
 def _pendulum(name: str, lengths: list[float], masses: list[float], stiffness: float, *, angle: float) -> Regime:
     along = np.array([np.sin(angle), 0.0, -np.cos(angle)])
-    positions = np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * along
-    count = len(positions)
-    tables = {
-        "positions": positions.tolist(),
-        "masses": [1.0, *masses],
-        "springs": [[k, k + 1] for k in range(count - 1)],
-        "rest_lengths": lengths,
-        "stiffness": [stiffness * length for length in lengths],
-    }
+    positions, rest_lengths = np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * along, np.array(lengths)
+    rigidity, still = stiffness * rest_lengths, np.zeros_like(positions)
+    tables = chain_tables(positions, still, np.array([1.0, *masses]), rest_lengths, rigidity, damping=0.0)
     return Regime(name, tables, ("0",), linear=False, gravity=(0.0, 0.0, -9.81), duration=PENDULUM_DURATION)
 
 
