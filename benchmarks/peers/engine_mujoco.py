@@ -198,8 +198,3 @@ def _solids(sheet: dict[str, Any]) -> str:
 
 def _numbers(values: Any) -> str:
     return " ".join(repr(value) for value in np.asarray(values).tolist())
-
-
-#: Name by which `runner` loads the class.
-Engine = MujocoEngine
-ContactEngine = MujocoContactEngine

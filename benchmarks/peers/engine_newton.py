@@ -234,8 +234,3 @@ def _panel(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     a, b, c = plane[triangles[0]]
     (ux, uy), (vx, vy) = b - a, c - a
     return plane if ux * vy > uy * vx else plane * [-1.0, 1.0]
-
-
-#: Name by which `runner` loads the class.
-Engine = NewtonEngine
-ContactEngine = NewtonContactEngine

@@ -175,8 +175,3 @@ class PyBulletContactEngine(PyBulletEngine):
     def remarks(self) -> list[str]:
         """Return the stiffness of its springs."""
         return [f"has springs of {self._stiffness:.3g} N/m, the stiffest that its step bears"]
-
-
-#: Name by which `runner` loads the class.
-Engine = PyBulletEngine
-ContactEngine = PyBulletContactEngine

@@ -46,7 +46,3 @@ class PyPbdEngine:
         """Positions [m], (n, 3)."""
         turned = np.array(self._particles.getVertices()).reshape(-1, 3)
         return np.stack([turned[:, 0], -turned[:, 2], turned[:, 1]], axis=1)
-
-
-#: Name by which `runner` loads the class.
-Engine = PyPbdEngine

@@ -194,12 +194,11 @@ class PeerFailed(RuntimeError):
 
 @attrs.frozen
 class Peer:
-    """Solver of another engine, and the script that runs it."""
+    """Solver of another engine."""
 
     name: str
     #: Entry of the requirements that it needs.
     package: str
-    script: str
     variant: str
     #: Difference of its model from the product's.
     differs: str
@@ -209,6 +208,8 @@ class Peer:
     apart: dict[str, str] = attrs.field(factory=dict, eq=False)
     #: Whether its material bends and shears like that of the reference in contact.
     comparable: bool = True
+    #: File that runs it, beside `runner`.
+    script: str = attrs.field(default=attrs.Factory(lambda peer: f"engine_{peer.package.lower()}.py", takes_self=True))
 
 
 @attrs.frozen(kw_only=True)

@@ -5,13 +5,14 @@
 The script imports nothing of this package. `python -I runner.py` reads a job as JSON from its input and writes the
 result as one line of JSON to its output.
 
-A job names the `script`, a file beside this one whose `Engine` runs the sheet, and the `variant`, a solver of it.
+A job names the `script`, a file beside this one, and the `variant`, a solver of it. The first class of the file whose
+name ends with `Engine` runs the sheet.
 `sheet` is an npz file (see `jobs.sheet_tables`). There are `frames` of length `frame` [s] with `steps` each. `seconds`
 limits the wall time. A sheet with a stretch above `whole` counts as torn.
 
-A job with `record` is a scene with contact (see `contact_scenes`) for the file's `ContactEngine`. The runner then
-writes the positions of particles and pads at every whole frame to the npz file `record`. `hold` is the number of
-frames in which particles are held.
+A job with `record` is a scene with contact (see `contact_scenes`) for a class with `ContactEngine` in its place. The
+runner then writes the positions of particles and pads at every whole frame to the npz file `record`. `hold` is the
+number of frames in which particles are held.
 
 The constructor `Engine(sheet, step, variant)` compiles everything. An engine has `advance(steps)`, `positions()` [m]
 of shape (particle_count, 3), and `distributions`, the names of its packages. It may have `remarks()`. A
@@ -108,8 +109,9 @@ def main() -> None:
     with np.load(job["sheet"]) as tables:
         sheet = {name: tables[name] for name in tables.files}
     kind = "ContactEngine" if "record" in job else "Engine"
-    Engine = runpy.run_path(str(Path(__file__).parent / job["script"]))[kind]
-    engine = Engine(sheet, job["frame"] / job["steps"], job["variant"])
+    defined = runpy.run_path(str(Path(__file__).parent / job["script"]))
+    make_engine = next(value for name, value in defined.items() if name.endswith(kind))
+    engine = make_engine(sheet, job["frame"] / job["steps"], job["variant"])
     result = measure(engine, sheet, job)
     result["versions"] = {name: importlib.metadata.version(name) for name in engine.distributions}
     output.write(json.dumps(result) + "\n")

@@ -22,14 +22,14 @@ _FLEX = (
 )
 _BULLET = "springs of one stiffness along a triangulation's edges, others across them; no drag of the air"
 _PBD = "the product's stiffnesses as compliant constraints, one sweep a step; neither damping nor drag"
-#: Name, package, script, variant, difference from the product, and first steps of the search by particles a side.
+#: Name, package, variant, difference from the product, and first steps of the search by particles a side.
 PEERS = (
-    Peer("Newton semi-implicit", "newton", "engine_newton.py", "semi_implicit", _NEWTON, lambda n: n),
-    Peer("Newton XPBD", "newton", "engine_newton.py", "xpbd", _NEWTON_10, lambda n: n),
-    Peer("Newton VBD", "newton", "engine_newton.py", "vbd", _NEWTON_10, lambda n: max(n // 16, 1)),
-    Peer("MuJoCo flex", "mujoco", "engine_mujoco.py", "discrete", _FLEX, lambda n: 1),
-    Peer("PyBullet springs", "pybullet", "engine_pybullet.py", "springs", _BULLET, lambda n: n),
-    Peer("pyPBD XPBD", "pyPBD", "engine_pypbd.py", "xpbd", _PBD, lambda n: max(n // 8, 1)),
+    Peer("Newton semi-implicit", "newton", "semi_implicit", _NEWTON, lambda n: n),
+    Peer("Newton XPBD", "newton", "xpbd", _NEWTON_10, lambda n: n),
+    Peer("Newton VBD", "newton", "vbd", _NEWTON_10, lambda n: max(n // 16, 1)),
+    Peer("MuJoCo flex", "mujoco", "discrete", _FLEX, lambda n: 1),
+    Peer("PyBullet springs", "pybullet", "springs", _BULLET, lambda n: n),
+    Peer("pyPBD XPBD", "pyPBD", "xpbd", _PBD, lambda n: max(n // 8, 1)),
 )
 _SHELL = (
     "an isotropic elastic shell of the product's modulus along the threads, with zero Poisson ratio, a bending modulus "
@@ -51,7 +51,6 @@ CONTACT_PEERS = (
     Peer(
         "Newton VBD",
         "newton",
-        "engine_newton.py",
         "vbd",
         f"{_DAMPED}, the drag once a step; {_PENALTIES}",
         apart={
@@ -62,7 +61,6 @@ CONTACT_PEERS = (
     Peer(
         "Newton Style3D",
         "newton",
-        "engine_newton.py",
         "style3d",
         f"{_SHELL}, and the product's drag, once a step; it has no damping; {_PENALTIES}",
         apart={"fold": "layers repel each other within the thickness", "pinch": _STILL},
@@ -70,7 +68,6 @@ CONTACT_PEERS = (
     Peer(
         "MuJoCo flex, CG",
         "mujoco",
-        "engine_mujoco.py",
         "cg",
         f"{_FLEX_CONTACT}; its CG solver, which is faster and less accurate",
         apart=_FLEX_APART,
@@ -78,7 +75,6 @@ CONTACT_PEERS = (
     Peer(
         "MuJoCo flex, Newton",
         "mujoco",
-        "engine_mujoco.py",
         "newton",
         f"{_FLEX_CONTACT}; its Newton solver, which its documentation recommends",
         apart=_FLEX_APART,
@@ -86,7 +82,6 @@ CONTACT_PEERS = (
     Peer(
         "MuJoCo flex, ipc",
         "mujoco",
-        "engine_mujoco.py",
         "ipc",
         f"{_FLEX_CONTACT}; its Newton solver; its intersection-free contact, which has no friction and keeps the sheet "
         "1 mm from static obstacles and from itself, half the product's thickness",
@@ -95,7 +90,6 @@ CONTACT_PEERS = (
     Peer(
         "PyBullet deformable",
         "pybullet",
-        "engine_pybullet.py",
         "springs",
         "springs along a triangulation's edges, all of one stiffness, the largest that the step bears and at most the "
         "product's, and a hundredth of it across them; all particles of one mass; its collision margin is the "

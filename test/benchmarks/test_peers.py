@@ -100,7 +100,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def stand_in(tmp_path: Path) -> Peer:
     script = tmp_path / "engine.py"
     script.write_text(ENGINE)
-    return Peer("Stand-in", "newton", str(script), "good", "is no cloth at all", first_steps=lambda n: 8)
+    return Peer("Stand-in", "newton", "good", "is no cloth at all", script=str(script), first_steps=lambda n: 8)
 
 
 def attempt(peer: Peer, sheet: Path, environment: Path, steps: int, **options: Any) -> Attempt:

@@ -94,7 +94,7 @@ def stand_in(tmp_path: Path) -> Peer:
     script = tmp_path / "engine.py"
     script.write_text(ENGINE)
     apart = {"fold": "its layers are one"}
-    return Peer("Stand-in", "newton", str(script), "good", "is no cloth at all", apart=apart, comparable=False)
+    return Peer("Stand-in", "newton", "good", "is no cloth at all", script=str(script), apart=apart, comparable=False)
 
 
 def shortened_scene(name: str, frames: int) -> ContactScene:
