@@ -155,12 +155,15 @@ def _carried(scene: Scene) -> None:
         simulation.advance([Target("gripper", tuple(corner + offset)), *([] if k else [Grasp("gripper", True)])])
 
 
+def _advance_free(simulation: Simulation) -> None:
+    for _ in range(SEPARATED_FRAMES):
+        simulation.advance([])
+
+
 def _spinning(scene: Scene) -> None:
     """Let a free sheet fall while it spins at 3.2 rad/s."""
     x = scene.initial_positions()
-    simulation = Simulation(scene, State(x, np.cross([0.5, 3.0, 1.0], x - x.mean(axis=0))))
-    for _ in range(SEPARATED_FRAMES):
-        simulation.advance([])
+    _advance_free(Simulation(scene, State(x, np.cross([0.5, 3.0, 1.0], x - x.mean(axis=0)))))
 
 
 def _above_table(scene: Scene) -> None:
@@ -168,9 +171,7 @@ def _above_table(scene: Scene) -> None:
     x = scene.initial_positions()
     height = np.full(len(x), 3.0 * scene.contact.thickness)
     x = np.column_stack([x[:, 0], x[:, 2] - x[:, 2].min(), height])
-    simulation = Simulation(scene, State(x, np.zeros_like(x)))
-    for _ in range(SEPARATED_FRAMES):
-        simulation.advance([])
+    _advance_free(Simulation(scene, State(x, np.zeros_like(x))))
 
 
 def separated(report: Report, options: argparse.Namespace) -> None:
