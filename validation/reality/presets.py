@@ -28,15 +28,12 @@ _GRAVITY = 9.81
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--specimens", type=at_least(1), default=1, help="specimens of each drape")
-    parser.add_argument(
-        "--edge-lengths", type=float, nargs="+", default=EDGE_LENGTHS, help="lengths of the meshes' edges [m]"
-    )
     parser.add_argument("--fabrics", nargs="+", choices=list(fabrics()), default=list(fabrics()), help="fabrics")
 
 
 def run(options: argparse.Namespace) -> Report:
     """Drape the fabrics and bend strips of them."""
-    meshes = [(pattern, edge_length) for pattern in PATTERNS for edge_length in options.edge_lengths]
+    meshes = [(pattern, edge_length) for pattern in PATTERNS for edge_length in EDGE_LENGTHS]
     columns = [f"{pattern} {1e3 * edge_length:g} mm" for pattern, edge_length in meshes]
     report = Report("Fabrics of the package")
     drapes = report.add_table("Drape coefficient [%] by mesh", ["fabric", *columns, "nodes", "published"])
