@@ -400,53 +400,40 @@ def evaluate(
     inside = [depth(frames, solid, position) for solid, position in solids]
     inside += [depth(frames, solid, pads[:, k]) for k, solid in enumerate(contact_scene.pads)]
     outcome = _outcome(contact_scene, recording)
-    result = ContactResult(
-        scene=contact_scene.name,
-        engine=engine,
-        recording=recording,
-        depth=max(inside),
-        inside=max(inside),
-        complete=not outcome,
-        outcome=outcome,
-    )
+    values: dict[str, Any] = {"depth": max(inside), "inside": max(inside), "complete": not outcome, "outcome": outcome}
     if comparable and contact_scene.name == "fold":
-        result = attrs.evolve(result, error=deviation(frames, contact_scene.scene.cloth.resolution[0]))
-    return _MEASURES[contact_scene.name](contact_scene, recording, result)
+        values["error"] = deviation(frames, contact_scene.scene.cloth.resolution[0])
+    values |= _MEASURES[contact_scene.name](contact_scene, recording)
+    return ContactResult(scene=contact_scene.name, engine=engine, recording=recording, **values)
 
 
-def _drape(contact_scene: ContactScene, recording: EngineRecording, result: ContactResult) -> ContactResult:
+def _drape(contact_scene: ContactScene, recording: EngineRecording) -> dict[str, Any]:
     depth = depth_in_ball(recording.frames, contact_scene.triangles, RADIUS)
     n_frames = round(DRAPE_CREEP_TIME / PERIOD) + 1
     creep = math.nan
     if len(recording.frames) >= n_frames:
         frames, contact_range = recording.frames[-n_frames:], CONTACT_RANGE * THICKNESS
         creep = creep_on_ball(frames, DRAPE_CREEP_TIME, RADIUS, contact_range)
-    return attrs.evolve(result, depth=depth, creep=creep)
+    return {"depth": depth, "creep": creep}
 
 
-def _fold(contact_scene: ContactScene, recording: EngineRecording, result: ContactResult) -> ContactResult:
-    crossed = crossings(recording.frames, contact_scene.triangles, contact_scene.start)
-    return attrs.evolve(result, crossed=len(crossed))
+def _fold(contact_scene: ContactScene, recording: EngineRecording) -> dict[str, Any]:
+    return {"crossed": len(crossings(recording.frames, contact_scene.triangles, contact_scene.start))}
 
 
-def _pinch(contact_scene: ContactScene, recording: EngineRecording, result: ContactResult) -> ContactResult:
+def _pinch(contact_scene: ContactScene, recording: EngineRecording) -> dict[str, Any]:
     frames, pad = recording.frames, contact_scene.pads[0]
     fell = dropped(frames, pad, recording.pads)
     if fell is not None:
-        return attrs.evolve(result, outcome=f"dropped at {fell * PERIOD:.2f} s")
+        return {"outcome": f"dropped at {fell * PERIOD:.2f} s"}
     if recording.seen < PINCH_SETTLING_TIME + MIN_PINCH_CREEP_TIME:
-        return result
+        return {}
     first = round(PINCH_SETTLING_TIME / PERIOD)
     between = between_pads(contact_scene.start, pad, contact_scene.pad_positions)
-    creep = sinking(frames[first:], recording.seen - PINCH_SETTLING_TIME, between)
-    return attrs.evolve(result, creep=creep)
+    return {"creep": sinking(frames[first:], recording.seen - PINCH_SETTLING_TIME, between)}
 
 
-_MEASURES: dict[str, Callable[[ContactScene, EngineRecording, ContactResult], ContactResult]] = {
-    "drape": _drape,
-    "fold": _fold,
-    "pinch": _pinch,
-}
+_MEASURES = {"drape": _drape, "fold": _fold, "pinch": _pinch}
 
 
 def _outcome(contact_scene: ContactScene, recording: EngineRecording) -> str:
