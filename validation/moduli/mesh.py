@@ -15,7 +15,6 @@ import argparse
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
 from cloth_sim_ros.physics.model.sheets.surface import Surface
 from validation.bending.patterns import Triangulation, periodic_triangulation
@@ -24,6 +23,8 @@ from validation.report import Report, Table
 
 #: Meshes: (square lattice, largest displacement of a vertex in sides); 1 leaves no trace of the lattice.
 MESHES = (*((False, jitter) for jitter in (0.1, 0.2, 0.3, 0.4)), (True, 0.1), (True, 0.2), (True, 0.3), (False, 1.0))
+#: Attributes of `Moduli` by the name of their row; a row pools its attributes.
+_QUANTITIES = {"Young's": ("along_x", "along_y"), "shear": ("shear",), "Poisson's": ("poisson",)}
 
 
 @attrs.frozen(kw_only=True)
@@ -92,16 +93,13 @@ def run(options: argparse.Namespace) -> Report:
         meshes = [periodic_triangulation(jitter, size=options.size, seed=seed, square=square) for seed in seeds]
         relaxed_moduli = [measure_moduli(mesh, relaxed=True) for mesh in meshes]
         affine = [measure_moduli(mesh, relaxed=False) for mesh in meshes]
-        for name in ("Young's", "shear", "Poisson's"):
-            values, affine_values = _moduli_by_name(name, relaxed_moduli), _moduli_by_name(name, affine)
+        for name, quantities in _QUANTITIES.items():
+            values, affine_values = (
+                np.array([getattr(mesh_moduli, quantity) for mesh_moduli in moduli for quantity in quantities])
+                for moduli in (relaxed_moduli, affine)
+            )
             percentiles = [float(q) for q in np.quantile(values, (0.05, 0.95))]
             row = ["squares" if square else "triangles", f"{jitter:g} side", name, float(values.mean())]
             table.rows.append([*row, float(values.std(ddof=1)), *percentiles, float(affine_values.mean())])
     note = f"{options.size**2} vertices a mesh, periodic; Young's modulus along x and along y both count"
     return Report("Moduli of irregular meshes", tables=[table], notes=[note])
-
-
-def _moduli_by_name(name: str, moduli: list[Moduli]) -> Array:
-    if name == "Young's":
-        return np.array([value for mesh_moduli in moduli for value in (mesh_moduli.along_x, mesh_moduli.along_y)])
-    return np.array([mesh_moduli.shear if name == "shear" else mesh_moduli.poisson for mesh_moduli in moduli])
