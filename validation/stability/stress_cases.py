@@ -49,17 +49,12 @@ class StressCase:
     """Initial positions and events of a case."""
 
     #: Returns initial positions (n, 3) for rest positions (n, 3) and a random generator.
-    start: Callable[[Array, np.random.Generator], Array]
+    start: Callable[[Array, np.random.Generator], Array] = lambda rest_positions, random: rest_positions
     #: Returns the events before a frame.
-    events: Callable[[StressFrame], list[Event]]
+    events: Callable[[StressFrame], list[Event]] = lambda frame: []
     radius: float = RADIUS
     #: Additional parameters of its scene.
     values: dict[str, Any] = attrs.field(factory=dict)
-
-
-def unchanged(rest_positions: Array, random: np.random.Generator) -> Array:
-    """Return the rest positions."""
-    return rest_positions
 
 
 def _stretched(rest_positions: Array, random: np.random.Generator) -> Array:
@@ -108,11 +103,6 @@ def _folded(rest_positions: Array, random: np.random.Generator, *, slope: float 
     return changed
 
 
-def no_events(frame: StressFrame) -> list[Event]:
-    """Return no events."""
-    return []
-
-
 def _grasp_corner(frame: StressFrame) -> list[Event]:
     return [Target(_GRIPPER, frame.corner), Grasp(_GRIPPER, True)]
 
@@ -156,18 +146,18 @@ def _parameters(frame: StressFrame) -> list[Event]:
 #: The lower half is folded up by nearly 180 degrees.
 _FOLDED_SHUT = partial(_folded, slope=0.02)
 STRESS_CASES = {
-    "hanging": StressCase(unchanged, no_events),
-    "release": StressCase(unchanged, partial(_pull, speed=1.0, direction=(0.0, 0.8, 0.4), end=0.25)),
-    "snap grasp": StressCase(unchanged, _snap),
-    "yanked at 10 m/s": StressCase(unchanged, partial(_pull, speed=YANK_SPEED, direction=(0.0, 0.8, 0.6), end=0.15)),
-    "zero-length springs": StressCase(unchanged, _jump, radius=WIDE_RADIUS),
+    "hanging": StressCase(),
+    "release": StressCase(events=partial(_pull, speed=1.0, direction=(0.0, 0.8, 0.4), end=0.25)),
+    "snap grasp": StressCase(events=_snap),
+    "yanked at 10 m/s": StressCase(events=partial(_pull, speed=YANK_SPEED, direction=(0.0, 0.8, 0.6), end=0.15)),
+    "zero-length springs": StressCase(events=_jump, radius=WIDE_RADIUS),
     "parameters change": StressCase(_FOLDED_SHUT, _parameters),
-    "stretched x 3": StressCase(_stretched, no_events),
-    "crumpled": StressCase(_crumpled, no_events),
-    "coincident": StressCase(_coincident, no_events),
-    "half in one point": StressCase(_collapsed, no_events),
-    "inverted cell": StressCase(_inverted, no_events),
-    "folded shut": StressCase(_FOLDED_SHUT, no_events),
+    "stretched x 3": StressCase(_stretched),
+    "crumpled": StressCase(_crumpled),
+    "coincident": StressCase(_coincident),
+    "half in one point": StressCase(_collapsed),
+    "inverted cell": StressCase(_inverted),
+    "folded shut": StressCase(_FOLDED_SHUT),
 }
 
 #: Contact thickness in these cases [m]: the cells of the cloth are 0.14 m wide.
@@ -206,8 +196,7 @@ def _crush(frame: StressFrame) -> list[Event]:
 
 CONTACT_STRESS_CASES = {
     "driven through at 10 m/s": StressCase(
-        unchanged,
-        _drive_through,
+        events=_drive_through,
         values={
             **_COMMON,
             "obstacles": ["crate"],
@@ -218,8 +207,7 @@ CONTACT_STRESS_CASES = {
         },
     ),
     "pinch yanked at 10 m/s": StressCase(
-        unchanged,
-        _pinch_and_yank,
+        events=_pinch_and_yank,
         values={
             **_COMMON,
             "gripper.mode": "pinch",
@@ -229,16 +217,13 @@ CONTACT_STRESS_CASES = {
         },
     ),
     "crushed": StressCase(
-        unchanged,
-        _crush,
+        events=_crush,
         values={**_COMMON, "obstacles": ["front", "back"], **_plate("front", -0.2), **_plate("back", 0.2)},
     ),
     "nearly on it": StressCase(
-        unchanged,
-        no_events,
         values={**_COMMON, "obstacles": ["front"], **_plate("front", -0.05 - START_GAP * THICKNESS)},
     ),
     "folded on itself": StressCase(
-        partial(_folded, gap=FOLDED_GAP * THICKNESS), no_events, values={**_COMMON, "contact.self": True}
+        partial(_folded, gap=FOLDED_GAP * THICKNESS), values={**_COMMON, "contact.self": True}
     ),
 }
