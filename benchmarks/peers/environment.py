@@ -349,26 +349,16 @@ def longest_step(is_valid: Callable[[int], bool | None], first: int) -> int | No
     Returns:
         The number of steps per frame.
     """
-    best, invalid, steps = 0, 0, first
-    while not best and steps <= _MAX_STEPS:
-        valid = is_valid(steps)
-        if valid is None:
+    invalid, best = 0, first
+    while not (valid := is_valid(best)):
+        if valid is None or 2 * best > _MAX_STEPS:
             return None
-        if valid:
-            best = steps
-        else:
-            invalid, steps = steps, 2 * steps
+        invalid, best = best, 2 * best
     while not invalid and best > 1:
-        if is_valid(best // 2):
-            best //= 2
-        else:
-            invalid = best // 2
+        invalid, best = (0, best // 2) if is_valid(best // 2) else (best // 2, best)
     for _ in range(_REFINEMENTS):
         middle = round(math.sqrt(invalid * best))
         if not invalid or middle in (invalid, best):
             break
-        if is_valid(middle):
-            best = middle
-        else:
-            invalid = middle
-    return best or None
+        invalid, best = (invalid, middle) if is_valid(middle) else (middle, best)
+    return best

@@ -60,10 +60,7 @@ def measure_step_limit(plan: Plan, x: Array, bound: float) -> float:
             (run,), _ = plan.runs(0.0, _STEPS * step, (start, np.zeros_like(x)), [_STEPS])
             final_positions.append(run.x)
         deviation = float(np.abs(final_positions[1] - final_positions[0]).max())
-        if math.isfinite(deviation) and deviation < 100.0 * _PERTURBATION:
-            low = step
-        else:
-            high = step
+        low, high = (step, high) if deviation < 100.0 * _PERTURBATION else (low, step)
     return low
 
 
