@@ -7,17 +7,16 @@ from __future__ import annotations
 import contextlib
 import os
 import statistics
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
 import attrs
-from support.problems import PERIOD, Problem
+from support.problems import Problem
 from support.reference import Reference, reference
 
 from benchmarks.timing import run_interleaved
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.model.forces.force import Array
+from validation.tolerance.work_precision import SolverRun, run_integrator
 
 #: Frames of `PERIOD` until the error measurement: 0.5 s, and 0.3 s at N = 128, where perturbations grow faster.
 SCORED_FRAMES = {16: 30, 32: 30, 64: 30, 128: 18}
@@ -25,20 +24,6 @@ SCORED_FRAMES = {16: 30, 32: 30, 64: 30, 128: 18}
 ACCURATE = 1e-3
 #: Tolerances of the reference and of its check. Stability limits the step here, so errors end far below them.
 _TOLERANCE, _CHECK = 1e-10, 1e-9
-
-
-@attrs.frozen(eq=False)
-class CurtainRun:
-    """Run of a scene as shipped."""
-
-    #: Wall time of the frames, without set-up [s].
-    seconds: float
-    #: Final positions [m], shape (3, n).
-    positions: Array
-    #: Force evaluations of all frames.
-    evaluations: int
-    #: Reason of the last choice of the integrator.
-    reason: str
 
 
 def scored(scene: Callable[[int], Problem], resolution: int) -> Problem:
@@ -58,17 +43,11 @@ def trusted(problem: Problem) -> Reference:
     return reference(problem, tolerance=_TOLERANCE, check=_CHECK)
 
 
-def run(problem: Problem, *, tolerance: float | None, one_core: bool = False) -> CurtainRun:
-    """Run a scene frame by frame, as a simulation does, on all allowed cores or on one."""
-    evaluations, reason = 0, ""
+def run(problem: Problem, *, tolerance: float | None, one_core: bool = False) -> SolverRun:
+    """Run a scene as shipped, on all allowed cores or on one."""
     with cores(one_core=one_core):
         plan, state = problem.build()
-        integrator = make_integrator("auto", tolerance=tolerance)
-        begin = time.perf_counter()
-        for frame in range(problem.frames):
-            done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
-            evaluations, reason = evaluations + done.evaluations, done.reason
-        return CurtainRun(time.perf_counter() - begin, state.x, evaluations, reason)
+        return run_integrator(problem, plan, state, make_integrator("auto", tolerance=tolerance))
 
 
 @contextlib.contextmanager

@@ -39,6 +39,8 @@ class SolverRun:
     positions: Array
     seconds: float
     evaluations: int
+    #: Reason of the last choice of the product's integrator.
+    reason: str = ""
 
 
 @attrs.frozen
@@ -82,7 +84,7 @@ def _product_solver(name: str, tolerance: float, *, single_threaded: bool) -> So
     def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
         with thread_limit.single_threaded() if single_threaded else nullcontext():
-            return _advance(problem, plan, state, make_integrator(name, tolerance=tolerance))
+            return run_integrator(problem, plan, state, make_integrator(name, tolerance=tolerance))
 
     kind, label = ("alone", f"{name}, one thread") if single_threaded else ("ours", name)
     return SolverSetting(f"cloth_sim_ros, {label}", f"tolerance {tolerance:g}", kind, solve, tolerance)
@@ -92,27 +94,35 @@ def _fixed_step_leapfrog(limit_fraction: float) -> SolverSetting:
     def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
         step = limit_fraction * make_integrator("leapfrog").step_limit(*plan.spectral_bounds(state.x))
-        return _advance(problem, plan, state, make_integrator("leapfrog", step=step))
+        return run_integrator(problem, plan, state, make_integrator("leapfrog", step=step))
 
     return SolverSetting("plain leapfrog", f"{limit_fraction:g} of the limit", "beside", solve)
 
 
-def _advance(problem: Problem, plan: Plan, state: State, integrator: Integrator) -> SolverRun:
-    evaluations, begin = 0, time.perf_counter()
+def run_integrator(problem: Problem, plan: Plan, state: State, integrator: Integrator) -> SolverRun:
+    """Run a scene frame by frame, as a simulation does."""
+    evaluations, reason, begin = 0, "", time.perf_counter()
     for frame in range(problem.frames):
-        evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
-    return SolverRun(state.x, time.perf_counter() - begin, evaluations)
+        done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
+        evaluations, reason = evaluations + done.evaluations, done.reason
+    return SolverRun(state.x, time.perf_counter() - begin, evaluations, reason)
 
 
 def _scipy(method: str, tolerance: float) -> SolverSetting:
     def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
-        right = _Limited(RightSide(plan), limit)
+        right = RightSide(plan)
         begin = time.perf_counter()
-        span, start = (0.0, problem.duration), right.inner.start(state)
-        solved = solve_ivp(right, span, start, method=method, rtol=tolerance, atol=tolerance)
+
+        def limited(t: float, y: Array) -> Array:
+            if time.perf_counter() > begin + limit:
+                raise SolverTimeoutError
+            return right(t, y)
+
+        span, start = (0.0, problem.duration), right.start(state)
+        solved = solve_ivp(limited, span, start, method=method, rtol=tolerance, atol=tolerance)
         seconds = time.perf_counter() - begin
-        return SolverRun(np.ascontiguousarray(right.inner.positions(solved.y[:, -1])), seconds, right.inner.calls)
+        return SolverRun(np.ascontiguousarray(right.positions(solved.y[:, -1])), seconds, right.calls)
 
     return SolverSetting(f"scipy {method}", f"rtol = atol = {tolerance:g}", "library", solve)
 
@@ -132,19 +142,6 @@ def _cvode(method: str, linear: str | None, tolerance: float) -> SolverSetting:
 
     name = f"CVODE {method}" + (" + GMRES" if linear else "")
     return SolverSetting(name, f"rtol = atol = {tolerance:g}", "library", solve)
-
-
-class _Limited:
-    """Right-hand side that raises `SolverTimeoutError` after a time limit [s]."""
-
-    def __init__(self, inner: RightSide, limit: float) -> None:
-        self.inner = inner
-        self._end = time.perf_counter() + limit
-
-    def __call__(self, t: float, y: Array) -> Array:
-        if time.perf_counter() > self._end:
-            raise SolverTimeoutError
-        return self.inner(t, y)
 
 
 #: Required speedup over the best library solver, by error [m].
