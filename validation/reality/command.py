@@ -30,8 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     recorded = parser.add_argument_group("recorded: swings of a real cloth, which lie on this machine")
     folder = "folder of the recordings; without it the part is skipped"
     recorded.add_argument("--folder", type=Path, help=folder)
-    fitted_on = "motions that the parameters are fitted on"
-    recorded.add_argument("--fitted-on", type=int, default=5, metavar="N", help=fitted_on)
     swings.add_argument("--workers", type=int, help="processes")
 
 

@@ -47,8 +47,8 @@ IDENTIFIED = {
     "material.damping": 0.106,
     "air.added_mass": 0.067,
 }
-#: Largest mean speed of a cloth that counts as still [m/s].
-STILL_SPEED = 0.02
+#: Largest mean speed of a cloth that counts as still [m/s], and number of motions that parameters are fitted on.
+STILL_SPEED, N_FITTED = 0.02, 5
 #: Largest median, 95 % quantile and root mean square of the distances, of the defaults and of a fit [mm].
 DEFAULTS, FITTED = (15.0, 45.0, 23.0), (12.3, 38.0, 20.0)
 
@@ -135,8 +135,7 @@ def run(options: argparse.Namespace) -> Report:
         return report
     recordings = read_swings(options.folder)
     print_progress(f"{len(recordings)} recordings")
-    n_fitted = options.fitted_on
-    inside = [int((k + 0.5) * len(recordings) / n_fitted) for k in range(n_fitted)]
+    inside = [int((k + 0.5) * len(recordings) / N_FITTED) for k in range(N_FITTED)]
     outside = [k for k in range(len(recordings)) if k not in inside]
     columns = ["cloth", "motions", "median mm", "95 % mm", "rms mm", "better than rigid"]
     table = report.add_table("Distances of the points from the simulated cloth", columns)
@@ -161,7 +160,7 @@ def run(options: argparse.Namespace) -> Report:
         ("carried rigidly", rigid, range(len(recordings))),
         ("defaults", plain.motions, range(len(recordings))),
         ("numbers of config/swing.yaml", identified.motions, range(len(recordings))),
-        (f"fitted on {n_fitted} others", fitted.motions, outside),
+        (f"fitted on {N_FITTED} others", fitted.motions, outside),
         ("fitted, still clouds (camera)", [fitted.still()], range(1)),
         ("driven corners (camera)", [floor] if (floor := plain.floor()) is not None else [], range(1)),
     ):
