@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from support.problems import PERIOD, problem
 from support.raw_sheet import RawSheet
-from support.reference import Reference, reference
+from support.reference import reference
 from support.reference_runs import measure
 
 from cloth_sim_ros import Grasp, Scene, Simulation, State, Target
@@ -147,10 +147,8 @@ class ConstantsScenes:
     """Scenes that run with each set of constants; their references are calculated once."""
 
     def __init__(self) -> None:
-        self._references: dict[str, Reference] = {}
-        for name, _, _ in REFERENCE_SCENES:
-            if name not in self._references:
-                self._references[name] = reference(problem(name))
+        names = {name for name, _, _ in REFERENCE_SCENES}
+        self._references = {name: reference(problem(name)) for name in names}
 
     def effect(self) -> ConstantsEffect:
         """Run all scenes with the current constants."""
