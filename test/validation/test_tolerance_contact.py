@@ -5,11 +5,13 @@
 import json
 
 import attrs
+import numpy as np
 import pytest
 
 from validation.__main__ import main
 from validation.case_pool import CasePool, CaseResult
 from validation.tolerance import contact
+from validation.tolerance.climb_motions import draw_prescribed, draw_shaken
 from validation.tolerance.contact import FRICTIONS, KINDS, draw_contact, evaluate_contact, run_contact
 
 #: A table and a sheet folded on itself, without friction.
@@ -66,6 +68,23 @@ def test_contact_scenes_cover_every_kind_and_touch():
             float(plan.contact.obstacle_gaps(frame.t, frame.after.x, frame.after.memory)[0, 1]) for frame in run.frames
         )
         assert 0.0 < nearest < draw.scene.contact.thickness
+
+
+@pytest.mark.parametrize(
+    ("draw", "kinds"), [(draw_shaken, ("plane", "box", "sphere")), (draw_prescribed, ("prescribed", "spring"))]
+)
+def test_bodies_of_climbed_scenes_move_in_each_kind(draw, kinds):
+    rng = np.random.default_rng(1)
+    draws = [draw(rng) for _ in range(12)]
+    assert {scene_draw.words.split(",")[0] for scene_draw in draws} == set(kinds)
+    for scene_draw in draws[:4]:
+        assert min(frame for frame in scene_draw.events if frame) >= scene_draw.first
+        run = run_contact(scene_draw)
+        assert not run.trouble
+        assert len(run.frames) - scene_draw.first == round(scene_draw.scene.rate)
+        memory = run.frames[-1].after.memory
+        # Each gripper grasps a particle.
+        assert np.diff(memory["grip.starts"]).min(initial=1) > 0
 
 
 def test_command_reports_evaluated_contact_scenes(tmp_path, monkeypatch):

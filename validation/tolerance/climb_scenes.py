@@ -19,11 +19,13 @@ from support.random_meshes import drawn_alike, outline_with_a_hole
 from cloth_sim_ros import Advance, Drag, Gravity, Model, PairSprings, Scene, State, simulate
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.simulate import MAX_ADVANCE
+from validation.tolerance.climb_motions import draw_prescribed, draw_shaken
 from validation.tolerance.compiled_reference import ReferenceFailureError
 from validation.tolerance.contact import (
     FINE,
     FRICTIONS,
     KINDS,
+    PERTURBATION,
     draw_contact_scene,
     evaluate_contact_window,
     run_contact,
@@ -336,20 +338,44 @@ def contact(rng: np.random.Generator) -> Trial:
     """Evaluate a small sheet that falls on an obstacle, in its first second."""
     kind, friction = str(rng.choice(_KINDS)), float(rng.choice(FRICTIONS))
     draw = draw_contact_scene(rng, kind, friction, _SIDES)
-    run = run_contact(attrs.evolve(draw, frames=round(draw.scene.rate)))
-    windows, trouble = list[Window](), run.trouble
+    # Perturbations are a hundred times larger.
+    fine = min(max(FINE, 1e-4 * draw.scene.tolerance), 1e-9)
+    return _evaluate_frames(attrs.evolve(draw, frames=round(draw.scene.rate)), fine, 10.0 * fine, PERTURBATION)
+
+
+def _evaluate_frames(
+    draw: RandomScene, fine: float | tuple[int, ...], rough: float | tuple[int, ...], size: float
+) -> Trial:
+    """Evaluate the last second of a scene, see `evaluate_contact_window`."""
+    run = run_contact(draw)
+    windows, trouble, second = list[Window](), run.trouble, len(run.frames) - draw.first
     if not trouble:
-        # Perturbations are a hundred times larger.
-        fine = min(max(FINE, 1e-4 * draw.scene.tolerance), 1e-9)
-        rngs = np.random.default_rng(0)
+        rng = np.random.default_rng(0)
         try:
-            windows.append(evaluate_contact_window(run, 0, len(run.frames), rngs, fine=fine, rough=10.0 * fine))
+            windows.append(evaluate_contact_window(run, draw.first, second, rng, fine=fine, rough=rough, size=size))
         except ArithmeticError as error:
             trouble = str(error)
     parameters = {**draw.scene.parameters(), "positions": draw.state.positions.tolist()}
     return Trial(
         tolerance=draw.scene.tolerance, words=draw.words, parameters=parameters, windows=tuple(windows), trouble=trouble
     )
+
+
+#: Step counts of the reference: of one run, since friction jumps, and of smooth motions.
+_JUMP_STEPS, _SMOOTH_STEPS = ((2000,), (700,)), ((600, 800, 1000), (300, 400, 500))
+#: Smallest perturbation relative to the tolerance: friction responds more to smaller ones than to errors.
+_PERTURBATION_FRACTION = 0.01
+
+
+def shaken(rng: np.random.Generator) -> Trial:
+    """Evaluate particles on an obstacle that moves."""
+    draw = draw_shaken(rng)
+    return _evaluate_frames(draw, *_JUMP_STEPS, max(PERTURBATION, _PERTURBATION_FRACTION * draw.scene.tolerance))
+
+
+def prescribed(rng: np.random.Generator) -> Trial:
+    """Evaluate particles in grippers that move and stop, which prescribe their motion or are springs."""
+    return _evaluate_frames(draw_prescribed(rng), *_SMOOTH_STEPS, PERTURBATION)
 
 
 def save_times(rng: np.random.Generator) -> Trial:
@@ -407,4 +433,6 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
     "events": (events, 70),
     "contact": (contact, 24),
     "save-times": (save_times, 18),
+    "shaken": (shaken, 40),
+    "prescribed": (prescribed, 45),
 }

@@ -21,6 +21,7 @@ from cloth_sim_ros import Advance, Scene, Simulation, State, UnstableError
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.verify.independent_integrator import dop853
+from cloth_sim_ros.verify.reference_integrator import integrate_intervals
 from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, ReferenceMotion, SimulatedFrame
 from validation.tolerance.random_scenes import (
     RandomScene,
@@ -180,7 +181,7 @@ def run_contact(draw: RandomScene) -> ContactRun:
     for frame_index in range(draw.frames):
         before, begin = simulation.state.shallow_copy(), time.perf_counter()
         try:
-            frame = simulation.advance()
+            frame = simulation.advance(draw.events.get(frame_index, []))
         except (UnstableError, ValueError) as error:
             return attrs.evolve(run, trouble=f"frame {frame_index}: {error}")
         seconds = time.perf_counter() - begin
@@ -194,11 +195,12 @@ def run_contact(draw: RandomScene) -> ContactRun:
 
 
 def integrate_reference(
-    frames: list[SimulatedFrame], perturbation: tuple[Array, Array] | None, local_error: float
+    frames: list[SimulatedFrame], perturbation: tuple[Array, Array] | None, accuracy: float | tuple[int, ...]
 ) -> list[Array]:
-    """Return positions (3, n) [m] at the end of each frame by DOP853.
+    """Return positions (3, n) [m] at the end of each frame by DOP853, or by extrapolated leapfrog runs.
 
-    It starts from the engine's state before the first frame, with an optional perturbation.
+    It starts from the engine's state before the first frame, with an optional perturbation. `accuracy` is the local
+    error of DOP853, or the step counts of the runs.
 
     Raises:
         ArithmeticError: if no step is small enough.
@@ -208,9 +210,12 @@ def integrate_reference(
         motion.perturb(*perturbation)
     for frame in frames:
         motion.apply_grasps(frame)
-        plan = equations.plan(frame, motion)
-        tolerances = {"relative_tolerance": local_error, "absolute_tolerance": local_error}
-        motion.state = dop853(plan, frame.t, frame.duration, motion.state, **tolerances)
+        plan, start = equations.plan(frame, motion), motion.state
+        if isinstance(accuracy, tuple):
+            motion.state = integrate_intervals(plan, frame.t, [frame.duration], start, accuracy)
+        else:
+            tolerances = {"relative_tolerance": accuracy, "absolute_tolerance": accuracy}
+            motion.state = dop853(plan, frame.t, frame.duration, start, **tolerances)
         positions.append(motion.x)
     return positions
 
@@ -241,25 +246,32 @@ def evaluate_contact(seed: int, index: int, windows: int) -> SceneEvaluation:
 
 
 def evaluate_contact_window(
-    run: ContactRun, first: int, second: int, rng: np.random.Generator, *, fine: float = FINE, rough: float = ROUGH
+    run: ContactRun,
+    first: int,
+    second: int,
+    rng: np.random.Generator,
+    *,
+    fine: float | tuple[int, ...] = FINE,
+    rough: float | tuple[int, ...] = ROUGH,
+    size: float = PERTURBATION,
 ) -> Window:
-    """Evaluate the window of one second from a frame on; `fine`, `rough`: see `FINE`."""
+    """Evaluate the window of one second from a frame on; `fine`, `rough`, `size`: see `FINE`, `PERTURBATION`."""
     frames, advances = run.frames[first : first + second], run.advances[first : first + second]
     exact = integrate_reference(frames, None, fine)
     check = integrate_reference(frames, None, rough)
     tolerance, initial_positions = run.draw.scene.tolerance, run.draw.state.x.T
     fields = [rng.normal(size=initial_positions.shape), smooth_field(rng, initial_positions)]
     unit_fields = [field.T / np.linalg.norm(field, axis=1).max() for field in fields]
-    perturbations = [PERTURBATION * np.ascontiguousarray(field) for field in unit_fields]
-    amplification = _amplification(frames, exact, perturbations, fine)
+    perturbations = [size * np.ascontiguousarray(field) for field in unit_fields]
+    amplification = _amplification(frames, check, perturbations, rough) / size
     error = max(largest_distance(frame.after.x, x) for frame, x in zip(frames, exact, strict=True))
     later_amplification = 0.0
     if error > tolerance * max(1.0, amplification):
         for part in range(1, _PARTS):
             later_frames = frames[part * second // _PARTS :]
-            later_exact = integrate_reference(later_frames, None, fine)
-            later = _amplification(later_frames, later_exact, perturbations, fine)
-            later_amplification = max(later_amplification, later)
+            later_check = integrate_reference(later_frames, None, rough)
+            later = _amplification(later_frames, later_check, perturbations, rough)
+            later_amplification = max(later_amplification, later / size)
     return Window.of(
         advances,
         first=first,
@@ -273,12 +285,13 @@ def evaluate_contact_window(
     )
 
 
-def _amplification(frames: list[SimulatedFrame], exact: list[Array], perturbations: list[Array], fine: float) -> float:
-    """Return the largest amplification of perturbations of positions and of velocities."""
+def _amplification(
+    frames: list[SimulatedFrame], exact: list[Array], perturbations: list[Array], accuracy: float | tuple[int, ...]
+) -> float:
+    """Return the largest distance [m] that perturbations of positions and of velocities cause."""
     pairs = [pair for field in perturbations for pair in ((field, 0.0 * field), (0.0 * field, field))]
-    distances = [
+    return max(
         largest_distance(a, b)
         for pair in pairs
-        for a, b in zip(integrate_reference(frames, pair, fine), exact, strict=True)
-    ]
-    return max(distances) / PERTURBATION
+        for a, b in zip(integrate_reference(frames, pair, accuracy), exact, strict=True)
+    )

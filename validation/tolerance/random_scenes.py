@@ -176,6 +176,9 @@ class RandomScene:
     cost: float = 0.0
     #: Changed parameters by the frame before which they change.
     changes: Mapping[int, dict[str, Any]] = attrs.field(factory=dict)
+    #: Further events by the frame before which they happen, and the first frame of its window.
+    events: Mapping[int, list[Event]] = attrs.field(factory=dict)
+    first: int = 0
 
     @functools.cached_property
     def frequency(self) -> float:
