@@ -30,6 +30,8 @@ class _StrongestGrip(NamedTuple):
     stiffness: float
     damping: float
     reach: float
+    #: Smallest k/m of its grips [1/s^2].
+    min_stiffness: float
     #: True if the gripper prescribes the motion of a particle.
     is_prescribed: bool
 
@@ -136,8 +138,8 @@ class GripBinding(Uncopyable):
 
         With the largest acceleration A of the point it is A (k s + 3 k_d)/m. Waves decay in the time s, which is at
         most T. If several grippers grasp one particle, their changes add up. A prescribed particle acts through the
-        sheet's springs, whose waves keep an error of velocity for 1/w only
-        (docs/derivations/time_stepping.md#change-of-jerk).
+        sheet's springs. Waves keep an error of velocity for 1/w only, and an error of positions adds to it. The change
+        is therefore weighted by that fraction of `error_time` (docs/derivations/time_stepping.md#change-of-jerk).
 
         Args:
             t: start of the interval [s].
@@ -148,7 +150,7 @@ class GripBinding(Uncopyable):
         """
         changes, paths = [0.0], self.force.controls.paths
         grips, are_shared = self._strongest_grips(inverse_masses)
-        for gripper, stiffness, damping, reach, is_prescribed in grips:
+        for gripper, stiffness, damping, reach, min_stiffness, is_prescribed in grips:
             path = paths[gripper].tolist()
             start, acceleration = t - path[0], 0.0
             for time in (start, start + duration):
@@ -158,7 +160,8 @@ class GripBinding(Uncopyable):
                     x, y, z = a + 3.0 * time * d, b + 3.0 * time * e, c + 3.0 * time * f
                     largest += scale * math.sqrt(x * x + y * y + z * z)
                 acceleration = max(acceleration, largest)
-            change = _jerk_change(stiffness, damping, acceleration, duration)
+            fraction = min(1.0, 2.0 / math.sqrt(min_stiffness * error_time * error_time + 1.0))
+            change = fraction * _jerk_change(stiffness, damping, acceleration, duration)
             if is_prescribed:
                 fraction = 1.0 / math.sqrt(rates[0] * error_time * error_time + 1.0)
                 change = max(change, fraction * _jerk_change(*rates, acceleration, duration))
@@ -176,12 +179,17 @@ class GripBinding(Uncopyable):
             strongest = list[_StrongestGrip]()
             for gripper in range(self.count if len(particles) else 0):
                 grips = slice(grasps.starts[gripper], grasps.starts[gripper + 1])
-                inverse, points = inverse_masses[particles[grips]], np.ascontiguousarray(offsets[grips].T)
+                inverse, points = inverse_masses[particles[grips, 0]], np.ascontiguousarray(offsets[grips].T)
                 if not inverse.any():
                     continue
-                largest = float((stiffness[grips] * inverse).max()), float((damping[grips] * inverse).max())
-                reach = largest_distance(points, np.zeros_like(points))
-                strongest.append(_StrongestGrip(gripper, *largest, reach, bool(prescribed[grips].any())))
+                rates = stiffness[grips] * inverse
+                largest = float(rates.max()), float((damping[grips] * inverse).max())
+                reach, min_stiffness = (
+                    largest_distance(points, np.zeros_like(points)),
+                    float(rates[inverse > 0.0].min()),
+                )
+                is_prescribed = bool(prescribed[grips].any())
+                strongest.append(_StrongestGrip(gripper, *largest, reach, min_stiffness, is_prescribed))
             self._known_grips = grasps, strongest, len(np.unique(particles)) < len(particles)
         return self._known_grips[1:]
 
