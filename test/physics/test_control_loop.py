@@ -15,10 +15,11 @@ from cloth_sim_ros.physics.control.controller import Controller
 from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.frame_totals import FrameTotals
+from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.plan.plan import compile
-from cloth_sim_ros.physics.state.controller_state import EnergyState, ErrorState
+from cloth_sim_ros.physics.state.controller_state import EnergyState, ErrorState, StabilityState
 
 PERIOD = 1.0 / 60.0
 
@@ -326,3 +327,13 @@ def test_attempt_that_cannot_get_finer_is_abandoned(monkeypatch: pytest.MonkeyPa
     with pytest.raises(UnstableError):
         simulation.advance()
     assert simulation.state.digest() == before
+
+
+@pytest.mark.parametrize(("refinement", "expected"), [(1.0, False), (2.2, False), (2.6, True)])
+def test_further_run_needs_a_gain_of_work(refinement: float, expected: bool) -> None:
+    state = State([[0.0, 0.0, 0.0]])
+    plan = compile(Model([1.0], [Gravity([0.0, 0.0, -9.81])]))
+    stability = StabilityRule(plan, StabilityState.load(state), state.x)
+    rule = ErrorRule(ErrorState(duration=PERIOD), 1e-6, 4, state)
+    # With its share of estimates a run takes 1.08 runs by the longest steps, a combination of two 2.35.
+    assert rule.may_gain(2, 1, refinement, stability, PERIOD) is expected

@@ -511,6 +511,8 @@ class Controller:
         if (errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
             target, reserved = CONSTANTS.error_target_fraction * allowed, self._rest_work(piece)
             while len(errors) < self.options.n_runs and errors[-1] > target:
+                if errors[-1] <= allowed and not self._may_gain(piece, target):
+                    break
                 is_affordable = self.work.fits(reserved + self.work.weight * tableau.counts[len(errors) + 1])
                 # If runs do not gain on one another, as at a force jump, a further run does not either.
                 is_useless = len(errors) > 1 and errors[-1] > errors[-2]
@@ -627,6 +629,11 @@ class Controller:
         fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
         choice = self._estimate.errors, refinement, target, self._stability, piece.length
         return self._error.choose_runs(*choice, rounding_fraction=fraction, rounded_steps=rounded_steps)
+
+    def _may_gain(self, piece: Piece, target: float) -> bool:
+        """Return True if a run more than those of the estimates may meet a target [m] with fewer evaluations."""
+        n_runs, refinement = self._choose_runs(piece, self._applied_refinement, target)
+        return self._error.may_gain(len(self._estimate.errors) + 1, n_runs, refinement, self._stability, piece.length)
 
     def _requires_much_more(self, refinement: float) -> bool:
         """Return True if a refinement is far above the present one, after a rejected attempt or in rough motion."""

@@ -234,18 +234,37 @@ class ErrorRule:
             present_runs: number of runs that needs no estimate in the next frame; 0 for none.
         """
         best = (1, refinement, math.inf)
-        estimated_fraction = min(1.0, self.memory.duration / CONSTANTS.max_estimate_period)
         for n_runs, error in enumerate(errors[: self._max_runs], start=1):
             floor = rounding_fraction * self.rounding_floor(n_runs, rounded_steps)
             # No step reduces the error below rounding.
             scale = root(max(error, floor) / max(target, floor), n_runs + 1)
             required_refinement = max(stability.min_refinement(n_runs, length), refinement * scale)
-            work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] * estimated_fraction)
+            work = self._work(n_runs, required_refinement)
             if present_runs and n_runs != present_runs:
                 work *= CONSTANTS.run_change_cost
             if work < best[2]:
                 best = (n_runs, required_refinement, work)
         return best[0], best[1]
+
+    def may_gain(
+        self, further_runs: int, n_runs: int, refinement: float, stability: StabilityRule, length: float
+    ) -> bool:
+        """Return True if further runs with the longest stable steps would need less work than a choice.
+
+        Args:
+            further_runs: their number.
+            n_runs: number of runs of the choice.
+            refinement: its refinement.
+            stability: requires a refinement of each number of runs.
+            length: of the interval [s].
+        """
+        least = self._work(further_runs, stability.min_refinement(further_runs, length))
+        return CONSTANTS.run_change_cost * least < self._work(n_runs, refinement)
+
+    def _work(self, n_runs: int, refinement: float) -> float:
+        """Return the work of a frame in runs with the longest stable steps, with its mean share of an estimate."""
+        estimated_fraction = min(1.0, self.memory.duration / CONSTANTS.max_estimate_period)
+        return refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] * estimated_fraction)
 
     def record_estimate(self, frame: FrameTotals, n_runs: int, next_runs: int, next_refinement: float) -> None:
         """Record an accepted frame's error estimates in `memory`, and set the time until the next estimate.
