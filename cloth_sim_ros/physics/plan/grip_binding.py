@@ -139,7 +139,7 @@ class GripBinding(Uncopyable):
         With the largest acceleration A of the point it is A (k s + 3 k_d)/m. Waves decay in the time s, which is at
         most T. If several grippers grasp one particle, their changes add up. A prescribed particle acts through the
         sheet's springs. Waves keep an error of velocity for 1/w only, and an error of positions adds to it. The change
-        is therefore weighted by that fraction of `error_time` (docs/derivations/time_stepping.md#change-of-jerk).
+        is therefore weighted by that fraction of `error_time` (docs/derivations/changes.md).
 
         Args:
             t: start of the interval [s].
