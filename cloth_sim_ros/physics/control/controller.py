@@ -69,9 +69,9 @@ _MIN_PIECE = 2.0**-24
 _ATTRIBUTES = (
     "_allowed _applied_refinement _attempts _before _known_contact_energy _duration _elapsed _ends _error "
     "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_jump "
-    "_may_touch _may_turn _met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio "
-    "_rejected_attempt _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget "
-    "estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
+    "_may_slide _may_touch _may_turn _met_limit _multirate _multirate_refinement _piece _plan _precision _prediction "
+    "_ratio _rejected_attempt _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned "
+    "budget estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
 )
 
 
@@ -136,6 +136,8 @@ class Controller:
         self.limit = sheet_limit if plan.contact is None else self._stability.predicted_limit(t, duration, state)
         contact_time = self._stability.contact_time
         self._may_touch = contact_time > 0.0
+        #: True if friction may jump within this advance.
+        self._may_slide = self._may_touch and plan.contact is not None and plan.contact.force.has_anchors
         if options.step is not None and not has_previous_frame:
             refuse_step(options.step, self.limit, options.name)
         self._ratio = 1
@@ -354,7 +356,9 @@ class Controller:
         self, t: float, piece: Piece, previous: ExtrapolationTableau | None, accumulator: WorkAccumulator | None
     ) -> ExtrapolationTableau:
         """Return a tableau of runs of a piece from time t [s], or the previous attempt's if steps are equal."""
-        counts = step_counts(piece.steps, ratio=piece.ratio, coprime=self._is_rough)
+        # Friction jumps too. Only the difference of two runs shows it.
+        is_coprime = self._is_rough or (self._may_slide and self.n_runs == 1)
+        counts = step_counts(piece.steps, ratio=piece.ratio, coprime=is_coprime)
         single_precision = is_estimated = False
         if self._has_tolerance:
             is_estimated = self.estimates_error or not self._error.is_predictable(counts[: self.n_runs], piece.length)
