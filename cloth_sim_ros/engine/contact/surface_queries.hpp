@@ -363,7 +363,7 @@ inline void add_layer_friction_change(const Plan& plan, const double* x0, const 
                 const auto& t = s.triangles[anchor.triangle];
                 const Vec3<double> a = at(t[0]), e = at(t[1]) - a, g = at(t[2]) - a, r = at(i) - a,
                                    across = cross(e, g);
-                const double over = 1.0 / norm2(across);
+                const double area = norm2(across), over = area > 0.0 ? 1.0 / area : 0.0;
                 const double second = dot(r, cross(g, across)) * over, third = dot(r, cross(across, e)) * over;
                 const Vec3<double> b = at_end(t[0]);
                 return (second - anchor.second) * (at_end(t[1]) - b) + (third - anchor.third) * (at_end(t[2]) - b);
