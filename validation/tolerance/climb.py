@@ -195,17 +195,11 @@ def _climb(options: argparse.Namespace) -> Report:
     for family in families:
         if summits := [result for climb, result in results if climb.family == family]:
             ratios = [result.ratio for result in summits]
-            n_scenes, n_windows, n_flagged = (
-                sum(getattr(result, name) for result in summits) for name in ("scenes", "windows", "flagged")
-            )
-            row: list[Any] = [
-                family,
-                len(summits),
-                n_scenes,
-                *np.quantile(ratios, [0.0, 0.25, 0.5, 0.75, 1.0]).tolist(),
-            ]
-            row += [sum(ratio > 1.0 for ratio in ratios), float(np.median([result.median for result in summits]))]
-            summary_table.rows.append([*row, n_flagged / max(1, n_windows)])
+            sums = {name: sum(getattr(result, name) for result in summits) for name in ("scenes", "windows", "flagged")}
+            quantiles = np.quantile(ratios, [0.0, 0.25, 0.5, 0.75, 1.0]).tolist()
+            n_above, median = sum(ratio > 1.0 for ratio in ratios), np.median([result.median for result in summits])
+            row: list[Any] = [family, len(summits), sums["scenes"], *quantiles, n_above, float(median)]
+            summary_table.rows.append([*row, sums["flagged"] / max(1, sums["windows"])])
     columns = ["climb", "family", "method", "ratio", "tolerance m", "g", "scenes", "unknown", "not evaluated", "what"]
     table = report.add_table("Scene of the largest error ratio of each climb", columns)
     for climb, result in sorted(results, key=lambda pair: -pair[1].ratio):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from itertools import combinations
 from typing import Any
 
 import attrs
@@ -66,9 +67,8 @@ class Shake:
             if phase < self.motion:
                 sign = -1.0 if self.reverses and cycle % 2 else 1.0
                 position = position + sign / self.motion * self.displacement
-                orientation = normalized(
-                    rotated_by(orientation, (sign / self.motion * self.rotation).tolist())
-                ).tolist()
+                turn = (sign / self.motion * self.rotation).tolist()
+                orientation = normalized(rotated_by(orientation, turn)).tolist()
                 poses[frame] = position, orientation
         return poses
 
@@ -98,14 +98,11 @@ def draw_shaken(rng: np.random.Generator) -> RandomScene:
     values |= {"thing.size": sizes[kind]} if kind in sizes else {}
     shake = Shake.random(rng, int(rng.uniform(0.0, _SETTLING) * values["rate"]), 0.3)
     scene = Scene.from_parameters(values, files=files)
-    frames = shake.first + round(scene.rate)
-    events: dict[int, list[Event]] = {
-        frame: [Move("thing", *pose)] for frame, pose in shake.poses(frames, center).items()
-    }
+    state, first, frames = scene.starting_state(), shake.first, shake.first + round(scene.rate)
+    poses = shake.poses(frames, center)
+    events: dict[int, list[Event]] = {frame: [Move("thing", *pose)] for frame, pose in poses.items()}
     words = f"{kind}, friction {friction:.2g}, {words}, {shake.words}"
-    return RandomScene(
-        scene=scene, state=scene.starting_state(), frames=frames, words=words, events=events, first=shake.first
-    )
+    return RandomScene(scene=scene, state=state, frames=frames, words=words, events=events, first=first)
 
 
 def draw_prescribed(rng: np.random.Generator) -> RandomScene:
@@ -113,18 +110,16 @@ def draw_prescribed(rng: np.random.Generator) -> RandomScene:
     spacing = log_uniform(rng, 0.01, 0.2)
     tables, anchors, words = _draw_tables(rng, spacing, is_hung=True)
     values, files = _values(rng, tables, anchors)
-    n_grippers, models = int(rng.choice([1, 2])), ["prescribed", "spring"]
-    names = [f"gripper{k}" for k in range(n_grippers)]
+    names = [f"gripper{k}" for k in range(int(rng.choice([1, 2])))]
     values |= {
         "grippers": names,
-        "gripper.model": str(rng.choice(models, p=[0.6, 0.4])),
+        "gripper.model": str(rng.choice(["prescribed", "spring"], p=[0.6, 0.4])),
         "gripper.radius": spacing * float(rng.uniform(0.3, 2.5)),
         "gripper.stiffness": log_uniform(rng, 1.0, 1e4),
         "gripper.damping": float(rng.uniform(0.0, 2.0)),
         "gripper.max_speed": 0.0,
     }
-    if rng.random() < 0.4:
-        values["gravity"] = [0.0, 0.0, 0.0]
+    values |= {"gravity": [0.0, 0.0, 0.0]} if rng.random() < 0.4 else {}
     scene = Scene.from_parameters(values, files=files)
     state, first = scene.starting_state(), 1 + int(rng.uniform(0.0, _SETTLING) * scene.rate)
     frames, events, pace = first + round(scene.rate), dict[int, list[Event]](), list[str]()
@@ -169,29 +164,26 @@ def _draw_tables(rng: np.random.Generator, spacing: float, *, is_hung: bool) -> 
     damping = float(rng.uniform(0.0, 2.0)) if rng.random() < 0.6 else 0.0
     slack = float(rng.choice([0.0, 1.0, rng.uniform(0.8, 1.2)]))
     nodes = [(row, column) for column in range(columns) for row in range(rows)]
-    along = -1.0 if is_hung else 1.0
-    axes = np.array([[0.0, spacing, 0.0], [0.0, 0.0, along * spacing] if is_hung else [spacing, 0.0, 0.0]])
+    axes = np.array([[0.0, spacing, 0.0], [0.0, 0.0, -spacing] if is_hung else [spacing, 0.0, 0.0]])
     top = 1.0 + 9.81 / swing**2
     positions = [[0.0, 0.0, top], [0.0, 0.0, 1.0], [0.0, 0.0, 0.05], *(np.array(nodes, dtype=float) @ axes).tolist()]
-    pairs, lengths, stiffness = [[0, 1]], [0.0], [mass * swing**2]
-    for a, (row, column) in enumerate(nodes):
-        for b, (other_row, other_column) in enumerate(nodes):
-            if b > a and max(abs(row - other_row), abs(column - other_column)) == 1:
-                distance = spacing * float(np.hypot(row - other_row, column - other_column))
-                pairs.append([a + _FIRST, b + _FIRST])
-                lengths.append(slack * distance)
-                stiffness.append(mass * frequency**2 * (slack * distance or 1.0))
+    # Particles, rest length and stiffness of each spring.
+    springs: list[tuple[list[int], float, float]] = [([0, 1], 0.0, mass * swing**2)]
+    for (a, node), (b, end) in combinations(enumerate(nodes, _FIRST), 2):
+        rows_apart, columns_apart = abs(node[0] - end[0]), abs(node[1] - end[1])
+        if max(rows_apart, columns_apart) == 1:
+            length = slack * spacing * float(np.hypot(rows_apart, columns_apart))
+            springs.append(([a, b], length, mass * frequency**2 * (length or 1.0)))
     if joint:
-        pairs.append([2, len(positions) - 1])
-        lengths.append(0.0)
-        stiffness.append(mass * joint**2)
+        springs.append(([2, len(positions) - 1], 0.0, mass * joint**2))
+    pairs, lengths, stiffness = zip(*springs, strict=True)
     tables = {
         "positions": positions,
         "velocities": [[0.0, 0.0, 0.0], [speed, 0.0, 0.0], *([[0.0, 0.0, 0.0]] * (len(nodes) + 1))],
         "masses": [mass] * len(positions),
-        "springs": pairs,
-        "rest_lengths": lengths,
-        "stiffness": stiffness,
+        "springs": list(pairs),
+        "rest_lengths": list(lengths),
+        "stiffness": list(stiffness),
         "k_d0": damping,
     }
     words = f"{rows} x {columns} particles, {frequency:.2g}/s, joint {joint:.2g}/s, swing {swing:.2g}/s {speed:.2g} m/s"

@@ -26,6 +26,7 @@ from validation.tolerance.contact import (
     FRICTIONS,
     KINDS,
     PERTURBATION,
+    Accuracy,
     draw_contact_scene,
     evaluate_contact_window,
     run_contact,
@@ -343,9 +344,7 @@ def contact(rng: np.random.Generator) -> Trial:
     return _evaluate_frames(attrs.evolve(draw, frames=round(draw.scene.rate)), fine, 10.0 * fine, PERTURBATION)
 
 
-def _evaluate_frames(
-    draw: RandomScene, fine: float | tuple[int, ...], rough: float | tuple[int, ...], size: float
-) -> Trial:
+def _evaluate_frames(draw: RandomScene, fine: Accuracy, rough: Accuracy, size: float) -> Trial:
     """Evaluate the last second of a scene, see `evaluate_contact_window`."""
     run = run_contact(draw)
     windows, trouble, second = list[Window](), run.trouble, len(run.frames) - draw.first

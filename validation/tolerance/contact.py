@@ -38,6 +38,8 @@ KINDS = ("table", "sphere", "edge", "itself")
 FRICTIONS = (0.0, 4.0)
 #: Size of a perturbation [m, m/s]: far above the difference of two reference runs, far below the thickness.
 PERTURBATION = 1e-7
+#: Accuracy of a reference: local error of DOP853 relative to the coordinates, or step counts of leapfrog runs.
+Accuracy = float | tuple[int, ...]
 #: Local error relative to the coordinates: of the reference, and of the run that checks it.
 FINE, ROUGH = 1e-11, 1e-10
 #: Parts of a window. Perturbations also start at their borders if those at the window's start do not explain its error.
@@ -195,7 +197,7 @@ def run_contact(draw: RandomScene) -> ContactRun:
 
 
 def integrate_reference(
-    frames: list[SimulatedFrame], perturbation: tuple[Array, Array] | None, accuracy: float | tuple[int, ...]
+    frames: list[SimulatedFrame], perturbation: tuple[Array, Array] | None, accuracy: Accuracy
 ) -> list[Array]:
     """Return positions (3, n) [m] at the end of each frame by DOP853, or by extrapolated leapfrog runs.
 
@@ -251,8 +253,8 @@ def evaluate_contact_window(
     second: int,
     rng: np.random.Generator,
     *,
-    fine: float | tuple[int, ...] = FINE,
-    rough: float | tuple[int, ...] = ROUGH,
+    fine: Accuracy = FINE,
+    rough: Accuracy = ROUGH,
     size: float = PERTURBATION,
 ) -> Window:
     """Evaluate the window of one second from a frame on; `fine`, `rough`, `size`: see `FINE`, `PERTURBATION`."""
@@ -286,7 +288,7 @@ def evaluate_contact_window(
 
 
 def _amplification(
-    frames: list[SimulatedFrame], exact: list[Array], perturbations: list[Array], accuracy: float | tuple[int, ...]
+    frames: list[SimulatedFrame], exact: list[Array], perturbations: list[Array], accuracy: Accuracy
 ) -> float:
     """Return the largest distance [m] that perturbations of positions and of velocities cause."""
     pairs = [pair for field in perturbations for pair in ((field, 0.0 * field), (0.0 * field, field))]
