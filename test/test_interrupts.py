@@ -61,3 +61,27 @@ def test_interrupt_leaves_no_traceback(
         # The live viewer returns 1 while it is at work, as for any failure.
         assert status in ((130, 1) if command == "cloth_viewer" else (130,)), process.output
         assert len(process.output.splitlines()) < 8, process.output
+
+
+#: Interrupts itself at the import of a module, and prints a line if the interpreter then ends as usual.
+REPLAY_PROGRAM = """
+import atexit, os, signal, sys
+from cloth_sim_ros.replay.command import main
+atexit.register(lambda: os.write(2, b"usual end\\n"))
+class Finder:
+    def find_spec(self, name, *_):
+        if name == "rerun.components":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+sys.exit(main({arguments}))
+"""
+
+
+def test_interrupt_while_rerun_loads_ends_at_once(start_process: Callable[..., Any], tmp_path: Path) -> None:
+    """An interpreter that ends as usual would race with rerun's threads, which its import starts."""
+    pytest.importorskip("rerun")
+    program = REPLAY_PROGRAM.format(arguments=[str(SESSION), "--save", str(tmp_path / "out.rrd")])
+    process = start_process([sys.executable, "-c", program], cwd=tmp_path)
+    assert process.wait() == 130
+    assert process.output == "cloth_replay: interrupted\n"
+    assert not list(tmp_path.glob("*.rrd*"))

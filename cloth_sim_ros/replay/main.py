@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cloth_sim_ros.replay.rows import MAX_TIME
 from cloth_sim_ros.replay.viewer import ViewerError
-from cloth_sim_ros.session.command_runner import INTERRUPTED
+from cloth_sim_ros.session.command_runner import INTERRUPTED, exit_on_signal
 from cloth_sim_ros.session.console import escape_unencodable, printable
 from cloth_sim_ros.session.errors import SessionError
 
@@ -33,7 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if importlib.util.find_spec("rerun") is None:
         print("cloth_replay needs the Rerun viewer: pip install 'cloth_sim_ros[replay]'", file=sys.stderr)
         return UNAVAILABLE
-    from cloth_sim_ros.replay import show
+    # Rerun starts threads early in its import, and last registers the exit handler that stops them. An exit between
+    # these would race with the threads.
+    with exit_on_signal("cloth_replay"):
+        import rerun  # noqa: F401
+
+        from cloth_sim_ros.replay import show
     from cloth_sim_ros.session.output_files import check_outputs
 
     try:

@@ -8,6 +8,7 @@ import importlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -22,8 +23,8 @@ def exit_on_signal(command: str) -> Iterator[None]:
     """Context for imports: until it ends, SIGINT, SIGTERM or SIGHUP exits the process at once with status 130.
 
     The exit prints one line and cleans up nothing: during imports nothing needs it yet. An exception during an import
-    would print a traceback or look like a missing library. Call from the main thread. Ignored signals stay ignored.
-    The end of the context restores the previous handlers.
+    would print a traceback or look like a missing library. Ignored signals stay ignored. The end of the context
+    restores the previous handlers. Outside the main thread, which takes the signals, the context has no effect.
 
     Args:
         command: name of the command, for the message.
@@ -34,7 +35,9 @@ def exit_on_signal(command: str) -> Iterator[None]:
         os.write(2, f"{command}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
-    signal_numbers = [signum for signum in _SIGNALS if signal.getsignal(signum) not in (signal.SIG_IGN, None)]
+    is_main_thread = threading.current_thread() is threading.main_thread()
+    candidates = _SIGNALS if is_main_thread else ()
+    signal_numbers = [signum for signum in candidates if signal.getsignal(signum) not in (signal.SIG_IGN, None)]
     previous_handlers = [(signum, signal.signal(signum, exit_at_once)) for signum in signal_numbers]
     try:
         yield
