@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
@@ -101,3 +102,81 @@ def test_live_frame_moves_the_obstacle_there(client: Client, monkeypatch: pytest
         cloth.node.node.set_parameters([Parameter("ball.frame", value="mocap")])
         cloth.tick(4)
         assert ball_of(cloth)[0] == pytest.approx(-1.98)
+
+
+def set_at_once(cloth: ClockedCloth, **values: Any) -> SetParametersResult:
+    parameters = [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
+    return cloth.node.node.set_parameters_atomically(parameters)
+
+
+def test_live_obstacle_starts_at_its_tf_frame(client: Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    x_of = {"mocap": 2.0}
+    stub_tf2(monkeypatch, x_of)
+    recorded = {"record.enabled": True, "record.folder": str(tmp_path)}
+    with ClockedCloth(client, {**BALL, **recorded, "obstacles": [""]}) as cloth:
+        cloth.tick(2)
+        assert set_at_once(cloth, obstacles=["ball"]).successful
+        for _ in range(3):
+            cloth.tick()
+            assert list(ball_of(cloth)) == [2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        assert list(cloth.node.node.get_parameter("ball.position").value) == [2.0, 0.0, 0.0]
+        x_of["mocap"] = 2.01
+        cloth.tick(3)
+        assert ball_of(cloth)[0] == pytest.approx(2.01)
+        assert set_at_once(cloth, obstacles=[""]).successful
+        x_of["mocap"] = 3.0
+        assert set_at_once(cloth, obstacles=["ball"]).successful
+        cloth.tick()
+        assert ball_of(cloth)[0] == 3.0
+    (path,) = tmp_path.glob("*.mcap")
+    verdict = verify([path])
+    assert verdict.same, verdict
+
+
+def test_obstacle_described_live_starts_at_its_frame(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch, {"mocap": 2.0})
+    with ClockedCloth(client) as cloth:
+        cloth.tick()
+        described = {"ball__shape": "sphere", "ball__size": [0.1], "ball__position": [-2.0, 0.0, 1.0]}
+        assert set_at_once(cloth, **described, ball__frame="mocap", obstacles=["ball"]).successful
+        cloth.tick()
+        assert ball_of(cloth)[0] == 2.0
+
+
+def test_live_obstacle_needs_its_tf_frame(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    x_of: dict[str, float] = {}
+    listening = stub_tf2(monkeypatch, x_of)
+    with ClockedCloth(client, {**BALL, "obstacles": [""]}) as cloth:
+        # TF is there before the obstacle comes.
+        assert len(listening) == 1
+        cloth.tick()
+        result = set_at_once(cloth, obstacles=["ball"])
+        text = "obstacle 'ball' starts at TF frame 'mocap' (ball.frame), which is not known: no transform from 'mocap'"
+        assert (result.successful, result.reason[: len(text)]) == (False, text)
+        assert list(cloth.node.node.get_parameter("ball.position").value) == [-2.0, 0.0, 1.0]
+        x_of["mocap"] = 2.0
+        assert set_at_once(cloth, obstacles=["ball"]).successful
+        cloth.tick()
+        assert ball_of(cloth)[0] == 2.0
+
+
+def test_live_obstacle_at_frame_in_cloth_is_refused(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    x_of = {"mocap": 0.0}
+    stub_tf2(monkeypatch, x_of)
+    lying = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "cloth.position": [0.0, 0.0, 0.0]}
+    with ClockedCloth(client, {**BALL, **lying, "obstacles": [""]}) as cloth:
+        cloth.tick()
+        result = set_at_once(cloth, obstacles=["ball"])
+        assert not result.successful
+        assert "'ball'" in result.reason
+        cloth.tick()
+        assert cloth.simulation.obstacles is None
+
+
+def test_live_obstacle_without_tf2_starts_in_place(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tf2_ros", None)
+    with ClockedCloth(client, {**BALL, "obstacles": [""]}) as cloth:
+        cloth.tick()
+        assert set_at_once(cloth, obstacles=["ball"]).successful
+        cloth.tick(2)
+        assert ball_of(cloth)[0] == -2.0

@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from cloth_sim_ros.ros.check.feasibility import check_feasibility
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
-from cloth_sim_ros.ros.io.parameters import LiveParameters
+from cloth_sim_ros.ros.io.parameters import LiveParameters, SceneNode
 from cloth_sim_ros.ros.io.services import Services
 from cloth_sim_ros.ros.io.tf_frames import FrameTransformer, TfFollower
 from cloth_sim_ros.ros.process.failure import FailureGuard
@@ -69,6 +69,8 @@ class Inputs:
             )
         self.services = Services(node, timing, recording, failure)
         self.parameters = LiveParameters(node, scene, self._change_parameters, self._check_parameters, failure.lock)
+        if isinstance(node, SceneNode):
+            node.complete = self._start_poses
 
         self._log, self._failure = log, failure
         #: Action servers of the grippers; None if no gripper has one.
@@ -87,6 +89,7 @@ class Inputs:
             StopRequestedError: if a signal came meanwhile.
         """
         scene, follower, reason = self._simulation.scene, self.tf_follower, ""
+        follower.listen(scene)
         if not any(scene.described[name].frame for name in scene.obstacle_names):
             return
         from cloth_sim_ros.ros.io.start_wait import await_condition
@@ -207,6 +210,12 @@ class Inputs:
     def _change_parameters(self, values: dict[str, Any]) -> None:
         # `_check_parameters` has made room for it.
         self._queue.put(SetParameters(values), reserved=True)
+        self.tf_follower.listen(self.parameters.accepted)
+
+    def _start_poses(self, values: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
+        """Return the poses of coming obstacles that follow TF frames, to be set with other parameters by full name."""
+        with self._failure.lock:
+            return self.tf_follower.start_poses(values, self.parameters.accepted)
 
     def _check_parameters(self, values: dict[str, Any], scene: Scene) -> None:
         check_feasibility(scene, self._simulation)

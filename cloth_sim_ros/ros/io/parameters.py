@@ -66,6 +66,8 @@ class SceneNode(SimTimeNode):
         self.declaring = False
         #: Declarations of the scene's parameters, by name.
         self.entries: dict[str, Parameter] = {}
+        #: Returns values by name that replace or join those that are to be set; raises ValueError to refuse a change.
+        self.complete: Callable[[Mapping[str, Any]], dict[str, Any]] = _no_values
 
     def serve(self) -> None:
         """Create rclpy's services for parameters and log levels, unless the options exclude them."""
@@ -77,6 +79,7 @@ class SceneNode(SimTimeNode):
     def destroy_node(self) -> None:
         """Destroy rclpy's node, and clear its parameter callbacks so that their objects can be freed."""
         super().destroy_node()
+        self.complete = _no_values
         self._pre_set_parameters_callbacks.clear()
         self._on_set_parameters_callbacks.clear()
         self._post_set_parameters_callbacks.clear()
@@ -108,9 +111,10 @@ class SceneNode(SimTimeNode):
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters together or not at all; return the result as rclpy does, with the reason of a refusal.
 
-        It differs in three ways. The error names the parameters that do not exist. Setting `<name>.shape` of a new
+        It differs in four ways. The error names the parameters that do not exist. Setting `<name>.shape` of a new
         obstacle first declares all parameters of that obstacle; the same holds for a parameter of a single gripper. A
-        value at the excluded end of a range is refused with that end, while rclpy would name the next number.
+        value at the excluded end of a range is refused with that end, while rclpy would name the next number. The
+        values that `complete` returns are set too.
 
         Raises:
             UnknownParametersError: names each unknown parameter and the known one with the most similar spelling.
@@ -138,6 +142,14 @@ class SceneNode(SimTimeNode):
                 refused = Faults()
                 refused.collect(partial(bounds.check, parameter.value))
                 return SetParametersResult(successful=False, reason="; ".join(refused.sentences))
+        try:
+            joined = self.complete({parameter.name: parameter.value for parameter in parameter_list})
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        parameter_list = [
+            *(parameter for parameter in parameter_list if parameter.name not in joined),
+            *(RosParameter(name, value=_listed(value)) for name, value in joined.items()),
+        ]
         self.declaring = True
         try:
             for entry in new:
@@ -337,6 +349,10 @@ def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
     for name in names:
         if name not in used and name not in known and name not in ROS_PARAMETERS:
             node.undeclare_parameter(name)
+
+
+def _no_values(_values: Mapping[str, Any]) -> dict[str, Any]:
+    return {}
 
 
 def _limits(entry: Parameter, largest: float, kind: Callable[[float], Any]) -> dict[str, Any]:

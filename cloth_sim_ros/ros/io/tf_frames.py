@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,12 @@ class FrameTransformer:
             return pose
         translation, rotation = self._lookup(frame_id, 0)
         return tuple(translation.tolist()), tuple(rotation.tolist()), self._transform_stamp
+
+    def listen(self, frame_id: str) -> None:
+        """Subscribe to /tf, unless a frame is a robot's link; without tf2_ros it has no effect."""
+        if self.link_pose(frame_id) is None:
+            with suppress(Tf2MissingError):
+                self._start_listener(frame_id)
 
     def advance_time(self, now: int) -> None:
         """Clear the dynamic transforms if a ROS time [ns] is before that of the previous call."""
@@ -225,6 +232,44 @@ class TfFollower:
             for name, frame, transform in transforms
             if transform is not None and transform[0] == frame
         }
+
+    def listen(self, scene: Scene) -> None:
+        """Subscribe to TF if a described obstacle follows a frame: `start_poses` needs it once the obstacle comes."""
+        for frame in [scene.described[name].frame for name in scene.unlinked_names]:
+            if frame:
+                self._frames.listen(frame)
+
+    def start_poses(self, values: Mapping[str, Any], scene: Scene) -> dict[str, tuple[float, ...]]:
+        """Return `<obstacle>.position` and `.orientation` of coming obstacles that follow TF frames: the frames' poses.
+
+        Without tf2_ros the result is empty; `events` logs the reason.
+
+        Args:
+            values: parameters to be set, by full name.
+            scene: the scene before.
+
+        Raises:
+            FrameError: if a frame is not known.
+        """
+        obstacles, poses = values.get("obstacles"), dict[str, tuple[float, ...]]()
+        # Other types are refused later, and so are invalid names of frames.
+        coming = [name for name in obstacles if name not in scene.obstacles] if isinstance(obstacles, list) else []
+        for name in coming:
+            present = scene.described[name].frame if name in scene.described else ""
+            frame = values.get(f"{name}.frame", present)
+            if not isinstance(frame, str) or not frame or fault(frame):
+                continue
+            try:
+                position, orientation, _ = self._frames.newest(frame)
+            except Tf2MissingError:
+                return {}
+            except FrameError as error:
+                raise FrameError(
+                    f"obstacle '{name}' starts at TF frame '{frame}' ({name}.frame), which is not known: {error}; "
+                    "start its publisher, then set obstacles again"
+                ) from error
+            poses |= {f"{name}.position": position, f"{name}.orientation": orientation}
+        return poses
 
     def restart_time(self) -> None:
         """Forget the newest transforms, because the clock was set back."""
