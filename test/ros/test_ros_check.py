@@ -134,6 +134,9 @@ def test_check_and_node_warn_alike_of_ineffective_parameters(
         ({"rate": -1.0}, "rate is -1.0 Hz; it must be at least 0.1 Hz"),
         ({"cloth.anchors": ["middle"]}, "'middle' is no edge or corner of a grid"),
         ({"step": 0.01}, "step 0.01 s is above the stability limit"),
+        ({"step": 1e-8}, "(step is 1e-08 s), at most 22222 are taken live: set a larger step, or 0.0 with a tolerance"),
+        # An implicit step takes some hundred times as long.
+        ({"integrator": "implicit", "step": 1e-5}, "a frame would take 1.67e+03 steps (step is 1e-05 s), at most 1"),
         ({"material.stretch_modulus": 1e9, "material.density": 1e-6, "integrator": "leapfrog"}, "a frame would take"),
         # Implicit steps may find no solution, and nothing then bounds the explicit ones.
         ({"material.stretch_modulus": 1e9, "material.density": 1e-9, "work_limit": 1e6}, "a work_limit of 1e+06), at"),
