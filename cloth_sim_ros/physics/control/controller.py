@@ -471,7 +471,7 @@ class Controller:
         return math.inf if self.estimates_error else error
 
     def _friction_displaces(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
-        """Return True if friction that turns round within a step may displace by more than a piece's target error.
+        """Return True if friction that reverses within a step may displace by more than a piece's target error.
 
         No step meets the time of a jump. So a force per mass that jumps by a causes a velocity error of up to a h/4.
         Springs hold a particle that turns alone.

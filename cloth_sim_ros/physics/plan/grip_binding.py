@@ -136,7 +136,7 @@ class GripBinding(Uncopyable):
     ) -> float:
         """Return the largest change of a particle's jerk by its gripper's path over an interval, times T^2/8 [m/s].
 
-        With the largest acceleration A of the point it is A (k s + 3 k_d)/m. Waves decay in the time s, which is at
+        With the largest acceleration a of the point it is a (k τ + 3 k_d)/m. Waves decay in the time τ, which is at
         most T. If several grippers grasp one particle, their changes add up. A prescribed particle acts through the
         sheet's springs. Waves keep an error of velocity for 1/w only, and an error of positions adds to it. The change
         is therefore weighted by that fraction of `error_time` (docs/derivations/changes.md).
