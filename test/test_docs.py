@@ -59,10 +59,14 @@ def test_each_parameter_is_described_on_the_page(entry) -> None:
     assert (kind, unit) == (entry.kind, entry.unit)
     read = yaml.safe_load(default.strip("`"))
     assert entry.check(read) == entry.default
-    assert words == entry.description
+    assert words.replace("`", "") == entry.description
     assert live == ("live" if entry.live else "")
     for bound in (entry.min, entry.max, *entry.choices):
         assert bound is None or str(bound) in limits
+
+
+def test_parameter_page_has_no_tag_outside_code() -> None:
+    assert not re.findall(r"<\w+", re.sub(r"`[^`]*`", "", page()))
 
 
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable
 from typing import Any
@@ -37,6 +38,8 @@ service](../node/topics.md#quality-of-service)).
 OBSTACLE = "<obstacle>"
 #: Stands for the name of a camera.
 CAMERA = "<camera>"
+#: Names with a placeholder, topics, options and the empty list. Markdown would take a placeholder as a tag of HTML.
+_LITERAL = re.compile(r"[~/\w.]*<\w+>(?:[./=]?[\w<>]+)*|~/\w+|--\w+|\[''\]")
 #: Headings of the groups, in the order of the page; "" is the group of names without one.
 _GROUPS = {
     "": "Node and time stepping",
@@ -74,7 +77,7 @@ def _table(entries: Iterable[Parameter]) -> str:
     lines = ["| name | type | unit | default | range | live | |", "|---|---|---|---|---|---|---|"]
     for entry in entries:
         cells = [f"`{entry.name}`", entry.kind, entry.unit, _value(entry.default), _range(entry)]
-        cells += ["live" if entry.live else "", entry.description]
+        cells += ["live" if entry.live else "", _LITERAL.sub(r"`\g<0>`", entry.description)]
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
