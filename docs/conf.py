@@ -21,6 +21,8 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 html_theme = "sphinx_rtd_theme"
 html_theme_options = {"collapse_navigation": False, "navigation_depth": 2}
 html_show_sourcelink = False
+# Blocks without a language are commands and outputs.
+highlight_language = "none"
 html_static_path = ["_static"]
 html_css_files = ["tables.css"]
 
@@ -51,7 +53,19 @@ def _lead_within(app: Any, name: str, source: list[str]) -> None:
     source[0] = source[0].replace("](../CONTRIBUTING.md", "](contributing.md")
 
 
+def _hide_colon(app: Any, kind: str, name: str, member: Any, options: Any, lines: list[str]) -> None:
+    """Napoleon takes the words before the first colon as the type of an attribute."""
+    if kind in ("attribute", "data", "property") and lines:
+        lines[0] = lines[0].replace(": ", "\0 ")
+
+
+def _show_colon(app: Any, kind: str, name: str, member: Any, options: Any, lines: list[str]) -> None:
+    lines[:] = [line.replace("\0 ", ": ") for line in lines]
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", _hide_colon, priority=400)
+    app.connect("autodoc-process-docstring", _show_colon, priority=600)
     app.connect("builder-inited", _write_parameters, priority=1)
     app.connect("source-read", _lead_within)
