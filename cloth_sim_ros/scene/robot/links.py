@@ -345,6 +345,7 @@ def _file_name(name: str, used: Collection[str]) -> str:
 
 
 def _friction(scene: RobotScene, link: str) -> tuple[float, ...]:
+    """Return the coefficients of friction of a link, by its name: those of the gripper for a pad."""
     return scene.gripper.friction if link in scene.robot.pads else scene.robot.friction
 
 

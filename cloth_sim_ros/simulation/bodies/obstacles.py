@@ -95,7 +95,7 @@ class Obstacles:
         return [self.names[k] for k in self._bodies.hold_position(range(len(self.names)))]
 
     def move(self, t: float, duration: float, thickness: float) -> tuple[Array, float, NDArray[np.bool_] | None]:
-        """Move the obstacles over a frame; return paths, largest change of displacement [m], and links off the cloth.
+        """Move the obstacles over a frame; return paths, largest change of displacement [m], links out of reach.
 
         Args:
             t: time at which the frame starts [s].

@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
 
 class Gravity(EngineForce):
-    """Uniform gravity: weight m g of every particle; energy -m g . x.
+    """Uniform gravity: weight m g of every particle; energy -m g·x.
 
     Args:
         acceleration: gravitational acceleration g [m/s^2], shape (3,).

@@ -15,7 +15,7 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part, SpringGrid
 
 
 class MembraneTriangles(EngineForce):
-    """Membrane force of orthotropic St. Venant-Kirchhoff triangles; docs/derivations/membrane.md derives it.
+    """Membrane force of orthotropic Saint-Venant-Kirchhoff triangles; docs/derivations/membrane.md derives it.
 
     a and b are the present images of unit vectors along warp and weft. Green's strains are e1 = (a·a - 1)/2 and e2 =
     (b·b - 1)/2, the shear is γ = a·b. The energy per area at rest is C11 e1²/2 + C12 e1 e2 + C22 e2²/2 + G γ²/2.
