@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import importlib.util
+import pydoc
+import re
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,7 @@ autosummary_generate = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 python_use_unqualified_type_names = True
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Array": "Array"}
 # Where no ROS is installed the node's page is made all the same.
 _ROS = ("rclpy", "tf2_ros", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "rcl_interfaces", "rosgraph_msgs",
         "sensor_msgs", "shape_msgs", "std_msgs", "std_srvs", "visualization_msgs")  # fmt: skip
@@ -63,9 +66,29 @@ def _show_colon(app: Any, kind: str, name: str, member: Any, options: Any, lines
     lines[:] = [line.replace("\0 ", ": ") for line in lines]
 
 
+def _mark_old_name(app: Any, kind: str, name: str, member: Any, options: Any, lines: list[str]) -> None:
+    """An old name has the docstring of the new one."""
+    owner, _, leaf = name.rpartition(".")
+    for base in getattr(pydoc.locate(owner), "__mro__", ()):
+        entry = vars(base).get(leaf)
+        if entry is not None:
+            if type(entry).__name__ == "_OldName":
+                lines[:] = [f"Old name of `{entry._new}`, for one release."]
+            return
+
+
+def _shorten_aliases(
+    app: Any, kind: str, name: str, member: Any, options: Any, signature: str | None, result: str | None
+) -> tuple[str | None, ...]:
+    """Sphinx writes an alias within a union as an object of its own."""
+    return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in (signature, result))
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("autodoc-process-docstring", _hide_colon, priority=400)
     app.connect("autodoc-process-docstring", _show_colon, priority=600)
+    app.connect("autodoc-process-signature", _shorten_aliases)
+    app.connect("autodoc-process-docstring", _mark_old_name, priority=700)
     app.connect("builder-inited", _write_parameters, priority=1)
     app.connect("source-read", _lead_within)
