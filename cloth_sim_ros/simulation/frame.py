@@ -61,7 +61,7 @@ class Frame:
         """Return additional entries of the frame's record, plain JSON values; empty if it went as commanded.
 
         Returns:
-            `poses`: `lagging` as lists by name; `halted`: names of stopped bodies. Either is absent if empty.
+            Poses of `lagging` by name under "poses", names of stopped bodies under "halted". Either is absent if empty.
         """
         extras: dict[str, Any] = {}
         if self.lagging:
