@@ -42,8 +42,9 @@ PERTURBATION = 1e-7
 Accuracy = float | tuple[int, ...]
 #: Local error relative to the coordinates: of the reference, and of the run that checks it.
 FINE, ROUGH = 1e-11, 1e-10
-#: Parts of a window. Perturbations also start at their borders if those at the window's start do not explain its error.
-_PARTS = 4
+#: Parts of a window, and number of further perturbations. If those at the window's start do not explain its error,
+#: further ones start there and at the parts' borders: impacts amplify some directions far more than others.
+_PARTS, _FURTHER_FIELDS = 4, 6
 #: Simulated time of a scene, and of a window [s].
 _SECONDS, _WINDOW = 2.0, 1.0
 #: Particles of a sheet along a side.
@@ -263,17 +264,16 @@ def evaluate_contact_window(
     check = integrate_reference(frames, None, rough)
     tolerance, initial_positions = run.draw.scene.tolerance, run.draw.state.x.T
     fields = [rng.normal(size=initial_positions.shape), smooth_field(rng, initial_positions)]
-    unit_fields = [field.T / np.linalg.norm(field, axis=1).max() for field in fields]
-    perturbations = [size * np.ascontiguousarray(field) for field in unit_fields]
-    amplification = _amplification(frames, check, perturbations, rough) / size
+    amplification = _amplification(frames, check, fields, size, rough)
     error = max(largest_distance(frame.after.x, x) for frame, x in zip(frames, exact, strict=True))
     later_amplification = 0.0
     if error > tolerance * max(1.0, amplification):
-        for part in range(1, _PARTS):
+        fields += [rng.normal(size=initial_positions.shape) for _ in range(_FURTHER_FIELDS)]
+        for part in range(_PARTS):
             later_frames = frames[part * second // _PARTS :]
             later_check = integrate_reference(later_frames, None, rough)
-            later = _amplification(later_frames, later_check, perturbations, rough)
-            later_amplification = max(later_amplification, later / size)
+            later = _amplification(later_frames, later_check, fields, size, rough)
+            later_amplification = max(later_amplification, later)
     return Window.of(
         advances,
         first=first,
@@ -288,12 +288,14 @@ def evaluate_contact_window(
 
 
 def _amplification(
-    frames: list[SimulatedFrame], exact: list[Array], perturbations: list[Array], accuracy: Accuracy
+    frames: list[SimulatedFrame], exact: list[Array], fields: list[Array], size: float, accuracy: Accuracy
 ) -> float:
-    """Return the largest distance [m] that perturbations of positions and of velocities cause."""
+    """Return the largest amplification of perturbations of a size [m, m/s], of positions and of velocities."""
+    perturbations = [size * np.ascontiguousarray(field.T / np.linalg.norm(field, axis=1).max()) for field in fields]
     pairs = [pair for field in perturbations for pair in ((field, 0.0 * field), (0.0 * field, field))]
-    return max(
+    distances = [
         largest_distance(a, b)
         for pair in pairs
         for a, b in zip(integrate_reference(frames, pair, accuracy), exact, strict=True)
-    )
+    ]
+    return max(distances) / size
