@@ -184,10 +184,8 @@ class GripBinding(Uncopyable):
                     continue
                 rates = stiffness[grips] * inverse
                 largest = float(rates.max()), float((damping[grips] * inverse).max())
-                reach, min_stiffness = (
-                    largest_distance(points, np.zeros_like(points)),
-                    float(rates[inverse > 0.0].min()),
-                )
+                min_stiffness = float(rates[inverse > 0.0].min())
+                reach = largest_distance(points, np.zeros_like(points))
                 is_prescribed = bool(prescribed[grips].any())
                 strongest.append(_StrongestGrip(gripper, *largest, reach, min_stiffness, is_prescribed))
             self._known_grips = grasps, strongest, len(np.unique(particles)) < len(particles)
