@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 27
+ABI = 28
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -144,7 +144,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_thickness": (_INT, _P, _P, _P, _D),
     "cloth_contact_gap_rows": (_INT, _P, _D, _P, _P),
     "cloth_contact_growth_power": (_INT, _P, _D, _P, _P, _P),
-    "cloth_friction_change": (_INT, _P, _D, _D, _P, _P, _P, _P),
+    "cloth_friction_change": (_INT, _P, _D, _D, _P, _P, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),
     "cloth_plan_mesh": (_INT, _P, _I, _I, _P, _I, _P),
     "cloth_plan_faces": (_INT, _P, _I, _P, _D),

@@ -268,25 +268,30 @@ def test_coming_to_rest_does_not_shorten_steps():
 
 
 @every_shape
-def test_friction_changes_of_anchors_that_slid_alone(shape):
+def test_friction_changes_where_particles_slid_or_vibrate(shape):
     contact_force, plan, _, x, _, anchors = about(shape, seed=5)
     path, rng = contact_force.paths[0], np.random.default_rng(6)
-    (position, _, rotation, _), (later_position, _, later_rotation, _) = (
-        laws.pose(path, t) for t in (0.3, 0.3 + FRAME)
-    )
+    position, _, rotation, _ = laws.pose(path, 0.3)
+    later_position, velocity, later_rotation, turning = laws.pose(path, 0.3 + FRAME)
     local = rotation.T @ (x - position[:, None])
-    # The particles move with the obstacle. Half of the anchors slide.
+    # The particles move with the obstacle. Half of the anchors slide, and all particles vibrate at the end.
     ends = anchors.copy()
     ends[0, :3, ::2] += 1e-6 * rng.standard_normal((3, COUNT // 2))
     ends[0, 3] = rng.integers(0, 3, COUNT)
     memory = {ANCHORS_KEY: anchors}
-    positions = x, later_position[:, None] + later_rotation @ local
-    changes = plan.contact.friction_change(0.3, FRAME, positions, ends, memory)
-    expected = np.zeros_like(x)
+    arm = later_rotation @ local
+    vibration = 0.01 * rng.standard_normal(x.shape)
+    v = velocity[:, None] + turning @ local + vibration
+    states = x, later_position[:, None] + arm, np.ascontiguousarray(v)
+    changes, vibrations = plan.contact.friction_change(0.3, FRAME, states, ends, memory)
+    expected, expected_vibrations = np.zeros_like(x), np.zeros_like(x)
     for i in np.flatnonzero((anchors[0, 3] > 0.0) & (ends[0, 3] > 0.0)):
         _, normals = contact_force.obstacles[0].distance(local[None, :, i])
-        moved = ends[0, :3, i] - anchors[0, :3, i]
-        expected[:, i] = 2000.0**2 * later_rotation @ (moved - (moved @ normals[0]) * normals[0])
-    assert np.count_nonzero(expected.any(axis=0)) > 3
+        moved, normal = ends[0, :3, i] - anchors[0, :3, i], later_rotation @ normals[0]
+        if i % 2 == 0:
+            expected[:, i] = 2000.0**2 * later_rotation @ (moved - (moved @ normals[0]) * normals[0])
+        else:
+            expected_vibrations[:, i] = vibration[:, i] - (vibration[:, i] @ normal) * normal
+    assert min(np.count_nonzero(array.any(axis=0)) for array in (expected, expected_vibrations)) > 3
     assert changes == pytest.approx(expected, rel=1e-6, abs=1e-6)
-    assert not changes[:, 1::2].any()
+    assert vibrations == pytest.approx(expected_vibrations, abs=1e-6)

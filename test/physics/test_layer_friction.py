@@ -148,7 +148,7 @@ def test_invalid_coefficients_and_anchors_are_refused():
         plan.contact.upload({ANCHORS_KEY: anchors})
 
 
-def test_friction_changes_of_layer_anchors_that_slid_alone():
+def test_friction_changes_where_layers_slid_or_vibrate():
     plan, x, masses = stacked()
     memory, rng = anchored_at(plan, x), np.random.default_rng(7)
     anchors, triangles = memory[ANCHORS_KEY], plan.contact.force.surface.triangles
@@ -158,17 +158,27 @@ def test_friction_changes_of_layer_anchors_that_slid_alone():
     ends[:, 3, ::6] = 0.0
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     y = np.ascontiguousarray(turn @ x + rng.normal(size=(3, 1)))
-    expected, n_slid = np.zeros_like(x), 0
+    v = rng.normal(size=x.shape)
+    expected, expected_vibrations, n_slid, n_stuck = np.zeros_like(x), np.zeros_like(x), 0, 0
     for face, i in np.argwhere((anchors[:, 3] > 0.0) & (ends[:, 3] > 0.0)):
         (triangle, b, c, _), (_, before_b, before_c, _) = ends[face, :, i], anchors[face, :, i]
         corners = triangles[int(triangle)]
         sides = y[:, corners[1:]] - y[:, corners[:1]]
         force = 0.5 * masses[i] * 2000.0**2 * sides @ [b - before_b, c - before_c]
-        n_slid += i % 2 == 0
+        if i % 2:
+            slip = v[:, i] - v[:, corners] @ [1.0 - b - c, b, c]
+            normal = np.cross(*sides.T)
+            normal /= np.linalg.norm(normal)
+            expected_vibrations[:, i] += slip - (slip @ normal) * normal
+            n_stuck += 1
+            continue
+        n_slid += 1
         for particle, weight in zip((i, *corners), (1.0, b + c - 1.0, -b, -c), strict=True):
             expected[:, particle] += weight * force / masses[particle]
-    changes = plan.contact.friction_change(0.0, 0.01, (x, y), ends, memory)
+    changes, vibrations = plan.contact.friction_change(0.0, 0.01, (x, y, v), ends, memory)
     assert n_slid > 3
+    assert n_stuck > 3
+    assert vibrations == pytest.approx(expected_vibrations, rel=1e-6, abs=1e-9)
     size = np.abs(expected).max()
     assert changes == pytest.approx(expected, rel=1e-6, abs=1e-6 * size)
     assert np.abs((masses * changes).sum(axis=1)).max() < 1e-9 * size

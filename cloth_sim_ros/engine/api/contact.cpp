@@ -152,10 +152,12 @@ CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, 
     });
 }
 CLOTH_API int cloth_friction_change(Plan* plan, double t, double duration, const double* x0, const double* x1,
-                                    const double* ends, double* out) {
+                                    const double* v1, const double* ends, double* out) {
     return guarded(plan, [&] {
-        contact::friction_change(*plan, t, duration, x0, x1, ends, out);
-        contact::add_layer_friction_change(*plan, x0, x1, ends, out);
+        const contact::FrictionInterval interval{t, duration, x0, x1, v1, ends};
+        std::fill(out, out + 6 * plan->count, 0.0);
+        contact::add_friction_change(*plan, interval, out);
+        contact::add_layer_friction_change(*plan, interval, out);
     });
 }
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {

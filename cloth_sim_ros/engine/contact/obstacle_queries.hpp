@@ -246,36 +246,39 @@ void add_contact_wrenches(const Plan& plan, double t, const double* x, const dou
     });
 }
 
-void friction_change(const Plan& plan, double t, double duration, const double* x0, const double* x1,
-                     const double* ends, double* out) {
+void add_friction_change(const Plan& plan, const FrictionInterval& interval, double* out) {
     const Contacts& contacts = plan.contacts;
     const std::int64_t n = plan.count;
-    const double stiffness = contacts.frequency * contacts.frequency;
+    const double stiffness = contacts.frequency * contacts.frequency, rate = 1.0 / interval.duration;
     Array<double> starts(3 * n * contacts.count());
-    std::fill(out, out + 3 * n, 0.0);
-    const auto for_each_slid = [&](double time, const double* x, const double* anchors, auto&& visit) {
-        for_each_contact(plan, time, x, nullptr, [&](const ObstacleContact& contact) {
+    const auto for_each_anchor = [&](double time, const double* x, const double* v, const double* anchors,
+                                     auto&& visit) {
+        for_each_contact(plan, time, x, v, [&](const ObstacleContact& contact) {
             const std::int64_t at = contact.obstacle * anchor_numbers * n + contact.particle;
-            const double *const a = contacts.anchors.data() + at, *const b = ends + at, *const c = anchors + at;
-            const bool slid = a[0] != b[0] || a[n] != b[n] || a[2 * n] != b[2 * n];
-            if (!slid || !(a[3 * n] > 0.0) || !(b[3 * n] > 0.0)) return;
+            const double *const a = contacts.anchors.data() + at, *const b = interval.ends + at,
+                                *const c = anchors + at;
+            if (!(a[3 * n] > 0.0) || !(b[3 * n] > 0.0)) return;
             const auto& posed = contact.posed;
             const Vec3<double> offset = posed.outward(posed.inward(contact.arm) - Vec3<double>{c[0], c[n], c[2 * n]});
-            visit(posed, starts.data() + 3 * n * contact.obstacle + contact.particle, contact.particle,
+            const bool slid = a[0] != b[0] || a[n] != b[n] || a[2 * n] != b[2 * n];
+            visit(contact, slid, starts.data() + 3 * n * contact.obstacle + contact.particle,
                   offset - dot(offset, contact.normal) * contact.normal);
         });
     };
-    for_each_slid(t, x0, contacts.anchors.data(),
-                  [&](const auto& posed, double* start, std::int64_t, const Vec3<double>& stretch) {
-                      const Vec3<double> local = posed.inward(stretch);
-                      start[0] = local.x, start[n] = local.y, start[2 * n] = local.z;
-                  });
-    for_each_slid(t + duration, x1, ends,
-                  [&](const auto& posed, const double* start, std::int64_t i, const Vec3<double>& stretch) {
-                      const Vec3<double> before = posed.outward(Vec3<double>{start[0], start[n], start[2 * n]});
-                      const Vec3<double> change = stiffness * (before - stretch);
-                      out[i] += change.x, out[n + i] += change.y, out[2 * n + i] += change.z;
-                  });
+    for_each_anchor(interval.t, interval.x0, nullptr, contacts.anchors.data(),
+                    [&](const ObstacleContact& contact, bool, double* start, const Vec3<double>& stretch) {
+                        const Vec3<double> local = contact.posed.inward(stretch);
+                        start[0] = local.x, start[n] = local.y, start[2 * n] = local.z;
+                    });
+    for_each_anchor(
+        interval.t + interval.duration, interval.x1, interval.v1, interval.ends,
+        [&](const ObstacleContact& contact, bool slid, const double* start, const Vec3<double>& stretch) {
+            const Vec3<double> before = contact.posed.outward(Vec3<double>{start[0], start[n], start[2 * n]}),
+                               slip = contact.slip - dot(contact.slip, contact.normal) * contact.normal,
+                               change = slid ? stiffness * (before - stretch) : slip - rate * (stretch - before);
+            double* const to = out + (slid ? 0 : 3 * n) + contact.particle;
+            to[0] += change.x, to[n] += change.y, to[2 * n] += change.z;
+        });
 }
 
 /// Power of contacts that recover their thickness [W].

@@ -22,11 +22,17 @@ void add_surface_product(Plan& plan, double t, const double* x, const double* v,
                          double* out);
 double contact_energy(const Plan& plan, double t, const double* x);
 
-/// Changes of the friction per mass [m/s^2], (3, n), of the particles that slide between time t and t + duration, by anchor
-/// springs in the frames of obstacles: from x0 and the plan's anchors to x1 and `ends`, (obstacles, anchor_numbers, n). An
-/// anchor that sticks does not move by one bit, and its force is smooth.
-void friction_change(const Plan& plan, double t, double duration, const double* x0, const double* x1,
-                     const double* ends, double* out);
+/// An interval: its start and length [s], positions at its start and end, velocities at its end, and anchors at its end.
+struct FrictionInterval {
+    double t, duration;
+    const double *x0, *x1, *v1, *ends;
+};
+
+/// Add what friction with obstacles may have changed in an interval, by anchor springs in the frames of obstacles:
+/// changes of the friction per mass [m/s^2] of particles that slid, (3, n), then velocities [m/s] of particles that
+/// stick, (3, n). An anchor that sticks does not move by one bit, and its force is smooth. But its particle may vibrate
+/// faster than steps resolve: the velocity along the surface, less the mean rate of the spring's stretch.
+void add_friction_change(const Plan& plan, const FrictionInterval& interval, double* out);
 
 /// Energy per mass, in U^2/2, that contact may have to absorb within `duration`. A particle in contact counts with its
 /// contact energy and its closing speed. A particle that comes into contact counts with its speed then, field

@@ -334,30 +334,30 @@ void combine_self_anchors(Plan& plan, double t, const double* x, const double* v
     });
 }
 
-/// Add the changes of friction between layers per mass [m/s^2], as `friction_change` does for obstacles, whose anchors
-/// come before them. A stretch turns and deforms with the triangle of its anchor at the start.
-inline void add_layer_friction_change(const Plan& plan, const double* x0, const double* x1, const double* all_ends,
-                                      double* out) {
+/// Add what friction between layers may have changed, as `add_friction_change` does for obstacles, whose anchors come
+/// before them. A stretch turns and deforms with the triangle of its anchor at the start. A stuck layer's velocity is
+/// that of its particle relative to the anchor's place on the triangle.
+inline void add_layer_friction_change(const Plan& plan, const FrictionInterval& interval, double* out) {
     if (!plan.has_self_friction()) return;
     const std::int64_t n = plan.count;
     const double stiffness = plan.contacts.frequency * plan.contacts.frequency;
     const Surface& s = plan.self->surface;
     const LayerAnchors starts = plan.layer_anchors(),
-                       ends{all_ends + plan.contacts.obstacle_anchors(n), plan.particle_of_rank.data(), n};
+                       ends{interval.ends + plan.contacts.obstacle_anchors(n), plan.particle_of_rank.data(), n};
     const auto reader = [&](const double* x) {
         return [&plan, x, n](Index c) {
             const double* const particle = x + plan.particle_of_rank[c];
             return Vec3<double>{particle[0], particle[n], particle[2 * n]};
         };
     };
-    const auto at_start = reader(x0), at_end = reader(x1);
+    const auto at_start = reader(interval.x0), at_end = reader(interval.x1), velocity = reader(interval.v1);
     for (int face = 0; face < layer_sides; ++face)
         for (std::int64_t rank = 0; rank < n; ++rank) {
             const Index i = static_cast<Index>(rank);
             const LayerAnchor start = starts(face, i), end = ends(face, i);
             const bool is_same =
                 start.triangle == end.triangle && start.second == end.second && start.third == end.third;
-            if (is_same || start.bond == no_bond || end.bond == no_bond) continue;
+            if (start.bond == no_bond || end.bond == no_bond) continue;
             // Stretch by the weights of an anchor at some positions, with the edges of its triangle at the end.
             const auto stretch = [&](const LayerAnchor& anchor, const auto& at) {
                 const auto& t = s.triangles[anchor.triangle];
@@ -368,14 +368,25 @@ inline void add_layer_friction_change(const Plan& plan, const double* x0, const 
                 const Vec3<double> b = at_end(t[0]);
                 return (second - anchor.second) * (at_end(t[1]) - b) + (third - anchor.third) * (at_end(t[2]) - b);
             };
-            const Vec3<double> force =
-                (0.5 * s.masses[i] * stiffness) * (stretch(start, at_start) - stretch(end, at_end));
+            const Vec3<double> change = stretch(start, at_start) - stretch(end, at_end);
+            const auto& t = s.triangles[end.triangle];
+            if (is_same) {
+                const Vec3<double> a = at_end(t[0]), across = cross(at_end(t[1]) - a, at_end(t[2]) - a);
+                const double first = 1.0 - end.second - end.third, area = norm2(across);
+                const Vec3<double> slip = velocity(i) - first * velocity(t[0]) - end.second * velocity(t[1]) -
+                                          end.third * velocity(t[2]),
+                                   along = slip - (area > 0.0 ? dot(slip, across) / area : 0.0) * across,
+                                   vibration = along + (1.0 / interval.duration) * change;
+                double* const to = out + 3 * n + plan.particle_of_rank[i];
+                to[0] += vibration.x, to[n] += vibration.y, to[2 * n] += vibration.z;
+                continue;
+            }
+            const Vec3<double> force = (0.5 * s.masses[i] * stiffness) * change;
             const auto add = [&](Index c, double weight) {
                 const std::int64_t k = plan.particle_of_rank[c];
                 const double factor = weight * plan.free_inverse[k];
                 out[k] += factor * force.x, out[n + k] += factor * force.y, out[2 * n + k] += factor * force.z;
             };
-            const auto& t = s.triangles[end.triangle];
             add(i, 1.0);
             add(t[0], end.second + end.third - 1.0);
             add(t[1], -end.second);

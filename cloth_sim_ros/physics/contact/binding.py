@@ -239,23 +239,27 @@ class ContactBinding(Uncopyable):
         return ends
 
     def friction_change(
-        self, t: float, duration: float, positions: tuple[Array, Array], ends: Array, memory: StateMemory
-    ) -> Array:
-        """Return changes of friction per mass [m/s^2], (3, n), where particles slide on obstacles or layers.
+        self, t: float, duration: float, states: Sequence[Array], ends: Array, memory: StateMemory
+    ) -> tuple[Array, Array]:
+        """Return what friction with obstacles and layers may have changed in an interval.
 
         Args:
             t: start of the interval [s].
             duration: its length [s].
-            positions: at its start and at its end [m], shape (3, n) each.
+            states: positions at its start, and positions [m] and velocities [m/s] at its end, shape (3, n) each.
             ends: friction anchors at its end.
             memory: of the state at its start.
+
+        Returns:
+            Changes of friction per mass where particles slid [m/s^2], and velocities of vibrations where they stick
+            [m/s], shape (3, n) each.
         """
         self.upload(memory)
-        out = np.empty(self._shape)
-        arrays = [float64_address("x", x, self._shape) for x in positions]
+        out = np.empty((2, *self._shape))
+        arrays = [float64_address("state", array, self._shape) for array in states]
         anchors = float64_address("anchors", ends, self.anchors_shape)
         check(self._library.cloth_friction_change(self._handle, t, duration, *arrays, anchors, address(out)))
-        return out
+        return out[0], out[1]
 
     def friction_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
         """Return the power [W] that friction between layers of the cloth dissipates at time t [s]; 0 without it."""

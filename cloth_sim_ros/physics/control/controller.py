@@ -47,7 +47,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     step_counts,
 )
 from cloth_sim_ros.physics.integrators.limit import steps_for
-from cloth_sim_ros.physics.model.forces.force import EngineForce
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
@@ -67,7 +67,7 @@ _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_allowed _applied_refinement _attempts _before _known_contact_energy _duration _elapsed _ends _error "
+    "_allowed _applied_refinement _attempts _before _known_contact _duration _elapsed _ends _error "
     "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_jump "
     "_may_slide _may_touch _may_turn _met_limit _multirate _multirate_refinement _piece _plan _precision _prediction "
     "_ratio _rejected_attempt _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned "
@@ -123,8 +123,8 @@ class Controller:
         tolerance = math.inf if options.tolerance is None else options.tolerance
         self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
         self._error = ErrorRule(error, self.budget, options.n_runs, state)
-        #: Largest contact energy per mass of the last frame with an estimate, in U^2/2.
-        self._known_contact_energy = 0.0 if plan.contact is None else ContactState.load(state).contact_energy
+        #: Contact in the last frame with an estimate.
+        self._known_contact = ContactState() if plan.contact is None else ContactState.load(state)
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
@@ -451,7 +451,9 @@ class Controller:
         rates = self._stability.memory.omega2, self._stability.memory.damping
         path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
         grip_jerk_change = self._plan.grip_jerk_change(*path) if self._plan.gripper_count > 0 else 0.0
-        self._may_jump = self._may_touch and not self.in_fallback and self._friction_displaces(tableau, piece)
+        self._may_jump, vibrates, vibration = False, False, 0.0
+        if self._may_touch and not self.in_fallback:
+            self._may_jump, vibrates, vibration = self._check_friction(tableau, piece)
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],
             piece.length,
@@ -461,30 +463,44 @@ class Controller:
             grip_jerk_change,
         )
         _, contact_energy, _ = tableau.contact_summary(n_runs)
-        if self._may_jump or contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact_energy:
-            # Friction may turn round. Or the contact is harder than in the frame of the last estimate, or the first.
+        is_harder = contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact.contact_energy
+        if self._may_jump or vibrates or is_harder:
             error = math.inf
         has_kinks = self._plan.plastic is not None and not (self.estimates_error or self.in_fallback)
         if has_kinks and tableau.kink_displacement(n_runs) > self._error.target(piece.length):
             error = math.inf
-        self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy, grip_jerk_change)
+        causes = summary.activity, contact_energy, grip_jerk_change, vibration
+        self._prediction = ErrorPrediction(error, lower_order_error, *causes)
         return math.inf if self.estimates_error else error
 
-    def _friction_displaces(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
-        """Return True if friction that reverses within a step may displace by more than a piece's target error.
+    def _check_friction(self, tableau: ExtrapolationTableau, piece: Piece) -> tuple[bool, bool, float]:
+        """Return if friction that reverses, and stuck particles that vibrate, displace by more than the target error.
 
-        No step meets the time of a jump. So a force per mass that jumps by a causes a velocity error of up to a h/4.
+        No step meets the time of a jump. So a force per mass that jumps by a causes a velocity error of up to a h/4. A
+        vibration that the last estimate contained does not count: its error is then predicted.
+
+        Returns:
+            The two answers, and the largest velocity of a stuck particle that vibrates [m/s].
+        """
+        changes = tableau.friction_change(self.n_runs)
+        if changes is None:
+            return False, False, 0.0
+        change, velocities = changes
+        vibration = largest_distance(velocities, np.zeros_like(velocities))
+        is_new = vibration > CONSTANTS.estimate_trust_factor * self._known_contact.vibration
+        jumps = self._displaces(tableau, piece, change * (piece.step / 4.0))
+        return jumps, is_new and self._displaces(tableau, piece, velocities), vibration
+
+    def _displaces(self, tableau: ExtrapolationTableau, piece: Piece, velocities: Array) -> bool:
+        """Return True if errors of velocities [m/s] displace by more than a piece's target error.
+
         Springs hold a particle that turns alone.
         """
-        change = tableau.friction_change(self.n_runs)
-        if change is None:
-            return False
         target = self._error.target(piece.length)
-        change *= piece.step / 4.0
-        if VELOCITY_ERROR_TIME * largest_distance(change, np.zeros_like(change)) <= target:
+        if VELOCITY_ERROR_TIME * largest_distance(velocities, np.zeros_like(velocities)) <= target:
             return False
         end, x = tableau.t + piece.length, tableau.combine(self.n_runs)[0]
-        displacement, evaluations = self._plan.velocity_displacement(end, x, change, VELOCITY_ERROR_TIME)
+        displacement, evaluations = self._plan.velocity_displacement(end, x, velocities, VELOCITY_ERROR_TIME)
         self.work.add(evaluations)
         return displacement > target
 
@@ -825,8 +841,8 @@ class Controller:
             self._multirate.memory.ratio = float(self._multirate.ratio)
             self._multirate.memory.store(state)
         if self._plan.contact is not None:
-            energy = frame.contact_energy if self.estimates_error else self._known_contact_energy
-            ContactState(energy).store(state)
+            estimated = ContactState(frame.contact_energy, frame.vibration)
+            (estimated if self.estimates_error else self._known_contact).store(state)
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
 

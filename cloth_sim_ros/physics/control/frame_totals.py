@@ -42,6 +42,8 @@ class ErrorPrediction(NamedTuple):
     contact_energy: float = 0.0
     #: Change of jerk by grippers' paths, see `GripBinding.jerk_change` [m/s].
     grip_jerk_change: float = 0.0
+    #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
+    vibration: float = 0.0
 
 
 class FrameTotals:
@@ -53,8 +55,8 @@ class FrameTotals:
     max_ratio, single_precision = 1, False
     #: Sums of errors and of errors of one run less [m], and true if a piece missed its budget.
     error, lower_order_error, has_missed = 0.0, 0.0, False
-    #: Largest contact energy per mass, in U^2/2.
-    contact_energy = 0.0
+    #: Largest contact energy per mass, in U^2/2, and largest velocity of a stuck particle that vibrates [m/s].
+    contact_energy, vibration = 0.0, 0.0
     #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
     longest_step, longest_runs = 0.0, 1
     #: Sum of predicted errors [m]; largest activity and change of jerk of a piece [m/s]; largest change of jerk by
@@ -73,7 +75,7 @@ class FrameTotals:
     def add(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, prediction: ErrorPrediction, error: float
     ) -> None:
-        """Add the steps, errors [m] and contact energy of a piece; `add_estimate` adds the predicted error."""
+        """Add the steps, errors [m] and contact of a piece; `add_estimate` adds the predicted error."""
         self.n_pieces += 1
         self.steps += sum(tableau.counts[:n_runs])
         self.min_step, self.max_ratio = min(self.min_step, piece.step), max(self.max_ratio, piece.ratio)
@@ -81,6 +83,7 @@ class FrameTotals:
         self.error += error
         self.lower_order_error += prediction.lower_order_error
         self.contact_energy = max(self.contact_energy, prediction.contact_energy)
+        self.vibration = max(self.vibration, prediction.vibration)
 
     def add_estimate(
         self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: Sequence[float], refinement: float

@@ -187,13 +187,13 @@ class ExtrapolationTableau:
         self._make_runs(1)
         return self._runs[0].jerk_change
 
-    def friction_change(self, n_runs: int) -> Array | None:
+    def friction_change(self, n_runs: int) -> tuple[Array, Array] | None:
         """Return the changes of friction over the interval, see `ContactBinding.friction_change`; None without any."""
-        positions = self._start.x, self.combine(n_runs)[0]
+        states = self._start.x, *self.combine(n_runs)
         contact, ends = self._plan.contact, self._runs[n_runs - 1].anchors
         if contact is None or ends is None:
             return None
-        return contact.friction_change(self.t, self.duration, positions, ends, self._start.memory)
+        return contact.friction_change(self.t, self.duration, states, ends, self._start.memory)
 
     def kink_displacement(self, n_runs: int) -> float:
         """Return the displacement [m] by kinks of bending friction, see `PlasticLengths.kink_displacement`."""

@@ -148,12 +148,14 @@ class ErrorState(ControllerState):
 
 @attrs.define
 class ContactState(ControllerState):
-    """State of contact in step control: largest contact energy per mass of the last frame with an error estimate."""
+    """State of contact in step control: what the last frame with an error estimate contained."""
 
     key = "control.contact"
 
-    #: Largest contact energy per mass in the last frame with an error estimate, in U^2/2.
+    #: Largest contact energy per mass, in U^2/2.
     contact_energy: float = bounded_number(0.0, minimum=0.0)
+    #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
+    vibration: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
 
 @attrs.define
