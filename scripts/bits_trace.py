@@ -179,6 +179,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_friction_change": ("i", ("h", "d", "d", _X, _X, _X, lambda _, plan: _anchors(plan), _particles(6))),
     "cloth_contact_limits": ("i", ("h", "d", _fixed(2))),
     "cloth_self_cache_pairs": ("i", ("h", "i")),
+    "cloth_stretch_difference": ("i", ("h", "d", _X, _X, lambda _, plan: _anchors(plan), _X)),
     "cloth_self_bounds": ("i", ("h", "d", _X, _B, _B)),
     "cloth_self_gaps": ("i", ("h", _X, _fixed(2))),
     "cloth_self_intersection": ("i", ("h", _X, _fixed(5))),

@@ -145,6 +145,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_gap_rows": (_INT, _P, _D, _P, _P),
     "cloth_contact_growth_power": (_INT, _P, _D, _P, _P, _P),
     "cloth_friction_change": (_INT, _P, _D, _D, _P, _P, _P, _P, _P),
+    "cloth_stretch_difference": (_INT, _P, _D, _P, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),
     "cloth_plan_mesh": (_INT, _P, _I, _I, _P, _I, _P),
     "cloth_plan_faces": (_INT, _P, _I, _P, _D),

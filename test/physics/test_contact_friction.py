@@ -290,8 +290,35 @@ def test_friction_changes_where_particles_slid_or_vibrate(shape):
         moved, normal = ends[0, :3, i] - anchors[0, :3, i], later_rotation @ normals[0]
         if i % 2 == 0:
             expected[:, i] = 2000.0**2 * later_rotation @ (moved - (moved @ normals[0]) * normals[0])
+            if ends[0, 3, i] == 1.0:
+                offset = local[:, i] - ends[0, :3, i]
+                expected_vibrations[:, i] = 2000.0 * later_rotation @ (offset - (offset @ normals[0]) * normals[0])
         else:
             expected_vibrations[:, i] = vibration[:, i] - (vibration[:, i] @ normal) * normal
     assert min(np.count_nonzero(array.any(axis=0)) for array in (expected, expected_vibrations)) > 3
     assert changes == pytest.approx(expected, rel=1e-6, abs=1e-6)
     assert vibrations == pytest.approx(expected_vibrations, abs=1e-6)
+
+
+@every_shape
+def test_stretch_difference_of_springs_that_stick(shape):
+    contact_force, plan, _, x, _, anchors = about(shape, seed=5)
+    rng, path = np.random.default_rng(6), contact_force.paths[0]
+    position, _, rotation, _ = laws.pose(path, 0.3)
+    y, moved_anchors = x + 1e-7 * rng.standard_normal(x.shape), anchors.copy()
+    moved_anchors[0, :3] += 1e-6 * rng.standard_normal((3, COUNT))
+    moved_anchors[0, 3] = rng.integers(0, 3, COUNT)
+    ends = [(x, {ANCHORS_KEY: anchors}), (y, {ANCHORS_KEY: moved_anchors})]
+    differences = plan.contact.stretch_difference(0.3, ends)
+    expected = np.zeros_like(x)
+    for i in range(COUNT):
+        stretches = []
+        for places, memory in ends:
+            offset = rotation.T @ (places[:, i] - position) - memory[ANCHORS_KEY][0, :3, i]
+            _, normals = contact_force.obstacles[0].distance((rotation.T @ (places[:, i] - position))[None])
+            stretches.append(rotation @ (offset - (offset @ normals[0]) * normals[0]))
+        bonds = {anchors[0, 3, i], moved_anchors[0, 3, i]}
+        if 1.0 in bonds and 0.0 not in bonds:
+            expected[:, i] = stretches[1] - stretches[0]
+    assert np.count_nonzero(expected.any(axis=0)) > 3
+    assert differences == pytest.approx(expected, abs=1e-10)

@@ -173,6 +173,10 @@ def test_friction_changes_where_layers_slid_or_vibrate():
             n_stuck += 1
             continue
         n_slid += 1
+        if ends[face, 3, i] == 1.0:
+            # It sticks at the end. Its stretch makes it vibrate.
+            weights = np.linalg.lstsq(sides, y[:, i] - y[:, corners[0]])[0]
+            expected_vibrations[:, i] += 2000.0 * sides @ (weights - [b, c])
         for particle, weight in zip((i, *corners), (1.0, b + c - 1.0, -b, -c), strict=True):
             expected[:, particle] += weight * force / masses[particle]
     changes, vibrations = plan.contact.friction_change(0.0, 0.01, (x, y, v), ends, memory)
@@ -182,3 +186,25 @@ def test_friction_changes_where_layers_slid_or_vibrate():
     size = np.abs(expected).max()
     assert changes == pytest.approx(expected, rel=1e-6, abs=1e-6 * size)
     assert np.abs((masses * changes).sum(axis=1)).max() < 1e-9 * size
+
+
+def test_stretch_difference_of_layers_that_stick():
+    plan, x, _ = stacked()
+    memory, rng = anchored_at(plan, x), np.random.default_rng(7)
+    anchors, triangles = memory[ANCHORS_KEY].copy(), plan.contact.force.surface.triangles
+    anchors[:, 3, 1::3] *= 2.0
+    moved_anchors, y = anchors.copy(), x + 1e-6 * rng.normal(size=x.shape)
+    moved_anchors[:, 1:3] += 1e-4 * rng.normal(size=moved_anchors[:, 1:3].shape)
+    ends = [(x, {**memory, ANCHORS_KEY: anchors}), (y, {**memory, ANCHORS_KEY: moved_anchors})]
+    differences = plan.contact.stretch_difference(0.0, ends)
+    expected = np.zeros_like(x)
+    for face, i in np.argwhere(anchors[:, 3] == 1.0):
+        corners, stretches = triangles[int(anchors[face, 0, i])], []
+        for places, bonds in ((x, anchors), (y, moved_anchors)):
+            weights = np.linalg.lstsq(
+                places[:, corners[1:]] - places[:, corners[:1]], places[:, i] - places[:, corners[0]]
+            )[0]
+            stretches.append((y[:, corners[1:]] - y[:, corners[:1]]) @ (weights - bonds[face, 1:3, i]))
+        expected[:, i] += stretches[1] - stretches[0]
+    assert np.count_nonzero(expected.any(axis=0)) > 3
+    assert differences == pytest.approx(expected, rel=1e-6, abs=1e-9)

@@ -189,10 +189,12 @@ CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const 
 CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, double* out);
 /// Power of contacts that recover their thickness [W].
 CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out);
-/// Changes of friction per mass [m/s^2] and velocities of stuck particles [m/s], (2, 3, n), with obstacles and between
-/// layers, of contact::friction_change.
+/// Changes of friction per mass [m/s^2] and velocities of vibrations [m/s], (2, 3, n), of contact::add_friction_change.
 CLOTH_API int cloth_friction_change(Plan* plan, double t, double duration, const double* x0, const double* x1,
                                     const double* v1, const double* ends, double* out);
+/// Differences of stretches of anchor springs [m], (3, n), from positions x and the plan's anchors to y and `anchors`.
+CLOTH_API int cloth_stretch_difference(Plan* plan, double t, const double* x, const double* y, const double* anchors,
+                                       double* out);
 /// Squared frequency and damping rate of contact that has absorbed an energy.
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out);
 

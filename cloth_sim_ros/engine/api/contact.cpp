@@ -154,10 +154,20 @@ CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, 
 CLOTH_API int cloth_friction_change(Plan* plan, double t, double duration, const double* x0, const double* x1,
                                     const double* v1, const double* ends, double* out) {
     return guarded(plan, [&] {
-        const contact::FrictionInterval interval{t, duration, x0, x1, v1, ends};
+        const contact::AnchoredState start{t, x0, nullptr, plan->contacts.anchors.data()},
+            end{t + duration, x1, v1, ends};
         std::fill(out, out + 6 * plan->count, 0.0);
-        contact::add_friction_change(*plan, interval, out);
-        contact::add_layer_friction_change(*plan, interval, out);
+        contact::add_friction_change(*plan, start, end, out);
+        contact::add_layer_friction_change(*plan, start, end, out);
+    });
+}
+CLOTH_API int cloth_stretch_difference(Plan* plan, double t, const double* x, const double* y, const double* anchors,
+                                       double* out) {
+    return guarded(plan, [&] {
+        const contact::AnchoredState a{t, x, nullptr, plan->contacts.anchors.data()}, b{t, y, nullptr, anchors};
+        std::fill(out, out + 3 * plan->count, 0.0);
+        contact::add_stretch_difference(*plan, a, b, out);
+        contact::add_layer_stretch_difference(*plan, a, b, out);
     });
 }
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {

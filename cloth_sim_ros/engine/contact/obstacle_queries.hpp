@@ -246,38 +246,56 @@ void add_contact_wrenches(const Plan& plan, double t, const double* x, const dou
     });
 }
 
-void add_friction_change(const Plan& plan, const FrictionInterval& interval, double* out) {
-    const Contacts& contacts = plan.contacts;
+/// Call visit(contact, same, bonds, before, stretch) for each particle with anchor springs in two states: its contact in
+/// the second one, whether both have one anchor, both bonds, and both stretches [m] in the second frame of the obstacle.
+template <class F>
+inline void for_each_anchor_spring(const Plan& plan, const AnchoredState& start, const AnchoredState& end, F&& visit) {
     const std::int64_t n = plan.count;
-    const double stiffness = contacts.frequency * contacts.frequency, rate = 1.0 / interval.duration;
-    Array<double> starts(3 * n * contacts.count());
-    const auto for_each_anchor = [&](double time, const double* x, const double* v, const double* anchors,
-                                     auto&& visit) {
-        for_each_contact(plan, time, x, v, [&](const ObstacleContact& contact) {
+    Array<double> stretches(3 * n * plan.contacts.count());
+    const auto visit_state = [&](const AnchoredState& state, auto&& visit_contact) {
+        for_each_contact(plan, state.t, state.x, state.v, [&](const ObstacleContact& contact) {
             const std::int64_t at = contact.obstacle * anchor_numbers * n + contact.particle;
-            const double *const a = contacts.anchors.data() + at, *const b = interval.ends + at,
-                                *const c = anchors + at;
+            const double *const a = start.anchors + at, *const b = end.anchors + at, *const c = state.anchors + at;
             if (!(a[3 * n] > 0.0) || !(b[3 * n] > 0.0)) return;
             const auto& posed = contact.posed;
             const Vec3<double> offset = posed.outward(posed.inward(contact.arm) - Vec3<double>{c[0], c[n], c[2 * n]});
-            const bool slid = a[0] != b[0] || a[n] != b[n] || a[2 * n] != b[2 * n];
-            visit(contact, slid, starts.data() + 3 * n * contact.obstacle + contact.particle,
-                  offset - dot(offset, contact.normal) * contact.normal);
+            visit_contact(contact, a, b, stretches.data() + 3 * n * contact.obstacle + contact.particle,
+                          offset - dot(offset, contact.normal) * contact.normal);
         });
     };
-    for_each_anchor(interval.t, interval.x0, nullptr, contacts.anchors.data(),
-                    [&](const ObstacleContact& contact, bool, double* start, const Vec3<double>& stretch) {
-                        const Vec3<double> local = contact.posed.inward(stretch);
-                        start[0] = local.x, start[n] = local.y, start[2 * n] = local.z;
-                    });
-    for_each_anchor(
-        interval.t + interval.duration, interval.x1, interval.v1, interval.ends,
-        [&](const ObstacleContact& contact, bool slid, const double* start, const Vec3<double>& stretch) {
-            const Vec3<double> before = contact.posed.outward(Vec3<double>{start[0], start[n], start[2 * n]}),
-                               slip = contact.slip - dot(contact.slip, contact.normal) * contact.normal,
-                               change = slid ? stiffness * (before - stretch) : slip - rate * (stretch - before);
-            double* const to = out + (slid ? 0 : 3 * n) + contact.particle;
-            to[0] += change.x, to[n] += change.y, to[2 * n] += change.z;
+    visit_state(start, [&](const ObstacleContact& contact, const double*, const double*, double* local_stretch,
+                           const Vec3<double>& stretch) {
+        const Vec3<double> local = contact.posed.inward(stretch);
+        local_stretch[0] = local.x, local_stretch[n] = local.y, local_stretch[2 * n] = local.z;
+    });
+    visit_state(end, [&](const ObstacleContact& contact, const double* a, const double* b, const double* local,
+                         const Vec3<double>& stretch) {
+        const bool same = a[0] == b[0] && a[n] == b[n] && a[2 * n] == b[2 * n];
+        const Vec3<double> before = contact.posed.outward(Vec3<double>{local[0], local[n], local[2 * n]});
+        visit(contact, same, std::pair{a[3 * n], b[3 * n]}, before, stretch);
+    });
+}
+
+void add_friction_change(const Plan& plan, const AnchoredState& start, const AnchoredState& end, double* out) {
+    const std::int64_t n = plan.count;
+    const double frequency = plan.contacts.frequency, rate = 1.0 / (end.t - start.t);
+    for_each_anchor_spring(
+        plan, start, end,
+        [&](const ObstacleContact& contact, bool same, const auto& bonds, const auto& before, const auto& stretch) {
+            double *const change = out + contact.particle, *const velocity = change + 3 * n;
+            const auto slip = [&] { return contact.slip - dot(contact.slip, contact.normal) * contact.normal; };
+            if (same) add_to(velocity, n, slip() - rate * (stretch - before));
+            if (!same) add_to(change, n, frequency * frequency * (before - stretch));
+            if (!same && bonds.second == double(sticks)) add_to(velocity, n, frequency * stretch);
+        });
+}
+
+void add_stretch_difference(const Plan& plan, const AnchoredState& a, const AnchoredState& b, double* out) {
+    for_each_anchor_spring(
+        plan, a, b,
+        [&](const ObstacleContact& contact, bool, const auto& bonds, const auto& before, const auto& stretch) {
+            const bool slide = bonds.first == double(slides) && bonds.second == double(slides);
+            if (!slide) add_to(out + contact.particle, plan.count, stretch - before);
         });
 }
 

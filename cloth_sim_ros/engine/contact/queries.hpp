@@ -22,17 +22,26 @@ void add_surface_product(Plan& plan, double t, const double* x, const double* v,
                          double* out);
 double contact_energy(const Plan& plan, double t, const double* x);
 
-/// An interval: its start and length [s], positions at its start and end, velocities at its end, and anchors at its end.
-struct FrictionInterval {
-    double t, duration;
-    const double *x0, *x1, *v1, *ends;
+/// Add a vector to an array (3, n).
+inline void add_to(double* out, std::int64_t n, const Vec3<double>& a) {
+    out[0] += a.x, out[n] += a.y, out[2 * n] += a.z;
+}
+
+/// Time, positions, velocities or null, and anchors of friction of a state.
+struct AnchoredState {
+    double t;
+    const double *x, *v, *anchors;
 };
 
-/// Add what friction with obstacles may have changed in an interval, by anchor springs in the frames of obstacles:
-/// changes of the friction per mass [m/s^2] of particles that slid, (3, n), then velocities [m/s] of particles that
-/// stick, (3, n). An anchor that sticks does not move by one bit, and its force is smooth. But its particle may vibrate
-/// faster than steps resolve: the velocity along the surface, less the mean rate of the spring's stretch.
-void add_friction_change(const Plan& plan, const FrictionInterval& interval, double* out);
+/// Add what friction with obstacles may have changed between two states, by anchor springs in the frames of obstacles:
+/// changes of the friction per mass [m/s^2] of particles that slid, (3, n), then velocities [m/s] of vibrations, (3, n).
+/// An anchor that sticks does not move by one bit, and its force is smooth. But its particle may vibrate faster than
+/// steps resolve: with the velocity along the surface less the mean rate of the stretch, or that which its stretch
+/// causes if it slid before.
+void add_friction_change(const Plan& plan, const AnchoredState& start, const AnchoredState& end, double* out);
+/// Add the differences of the stretches of anchor springs with obstacles [m], (3, n), between two states of one time.
+/// Springs that slide in both are left out, because the cone limits them.
+void add_stretch_difference(const Plan& plan, const AnchoredState& a, const AnchoredState& b, double* out);
 
 /// Energy per mass, in U^2/2, that contact may have to absorb within `duration`. A particle in contact counts with its
 /// contact energy and its closing speed. A particle that comes into contact counts with its speed then, field

@@ -18,6 +18,15 @@ inline Array<double> quads_of(const Plan& plan, const double* a) {
         for (std::int64_t i = 0; i < plan.count; ++i) out[4 * plan.rank[i] + c] = a[c * plan.count + i];
     return out;
 }
+/// Vector of a particle in an array (3, n), by its rank in the order of runs.
+struct RankReader {
+    const Plan& plan;
+    const double* from;
+    Vec3<double> operator()(Index c) const {
+        const double* const particle = from + plan.particle_of_rank[c];
+        return {particle[0], particle[plan.count], particle[2 * plan.count]};
+    }
+};
 /// Numbers of a query by particle: an array (3, n), with derivatives if V has them.
 template <class V>
 class QueryNumbers {
@@ -40,11 +49,7 @@ private:
 /// Whether it is known without a search that a sheet at positions x, (3, n), is in contact with itself. Usually it is
 /// if it was in the last search; then no bound of its distances helps.
 inline bool is_surely_in_contact(const Plan& plan, const double* x) {
-    const auto at = [&](Index c) {
-        const double* const particle = x + plan.particle_of_rank[c];
-        return Vec3<double>{particle[0], particle[plan.count], particle[2 * plan.count]};
-    };
-    return plan.self->neighbors().nearest_is_within(at, plan.contacts.thickness);
+    return plan.self->neighbors().nearest_is_within(RankReader{plan, x}, plan.contacts.thickness);
 }
 
 /// A contact in a query: its law, and functions of the position and velocity of corners; of the cloth with an obstacle,
@@ -334,64 +339,76 @@ void combine_self_anchors(Plan& plan, double t, const double* x, const double* v
     });
 }
 
-/// Add what friction between layers may have changed, as `add_friction_change` does for obstacles, whose anchors come
-/// before them. A stretch turns and deforms with the triangle of its anchor at the start. A stuck layer's velocity is
-/// that of its particle relative to the anchor's place on the triangle.
-inline void add_layer_friction_change(const Plan& plan, const FrictionInterval& interval, double* out) {
+/// Call visit(particle, corners, end, same, start, before, stretch) for each layer with anchor springs in two states: both
+/// anchors, the triangle of the second one, and both stretches [m]. A stretch turns and deforms with the triangle of its
+/// anchor; `before` is that of the first state with the triangle of the second.
+template <class F>
+inline void for_each_layer_spring(const Plan& plan, const AnchoredState& start, const AnchoredState& end, F&& visit) {
     if (!plan.has_self_friction()) return;
-    const std::int64_t n = plan.count;
-    const double stiffness = plan.contacts.frequency * plan.contacts.frequency;
+    const std::int64_t n = plan.count, before_layers = plan.contacts.obstacle_anchors(n);
     const Surface& s = plan.self->surface;
-    const LayerAnchors starts = plan.layer_anchors(),
-                       ends{interval.ends + plan.contacts.obstacle_anchors(n), plan.particle_of_rank.data(), n};
-    const auto reader = [&](const double* x) {
-        return [&plan, x, n](Index c) {
-            const double* const particle = x + plan.particle_of_rank[c];
-            return Vec3<double>{particle[0], particle[n], particle[2 * n]};
-        };
-    };
-    const auto at_start = reader(interval.x0), at_end = reader(interval.x1), velocity = reader(interval.v1);
+    const LayerAnchors starts{start.anchors + before_layers, plan.particle_of_rank.data(), n},
+        ends{end.anchors + before_layers, plan.particle_of_rank.data(), n};
+    const RankReader at_start{plan, start.x}, at_end{plan, end.x};
     for (int face = 0; face < layer_sides; ++face)
         for (std::int64_t rank = 0; rank < n; ++rank) {
             const Index i = static_cast<Index>(rank);
-            const LayerAnchor start = starts(face, i), end = ends(face, i);
-            const bool is_same =
-                start.triangle == end.triangle && start.second == end.second && start.third == end.third;
-            if (start.bond == no_bond || end.bond == no_bond) continue;
+            const LayerAnchor a = starts(face, i), b = ends(face, i);
+            if (a.bond == no_bond || b.bond == no_bond) continue;
             // Stretch by the weights of an anchor at some positions, with the edges of its triangle at the end.
             const auto stretch = [&](const LayerAnchor& anchor, const auto& at) {
                 const auto& t = s.triangles[anchor.triangle];
-                const Vec3<double> a = at(t[0]), e = at(t[1]) - a, g = at(t[2]) - a, r = at(i) - a,
+                const Vec3<double> c = at(t[0]), e = at(t[1]) - c, g = at(t[2]) - c, r = at(i) - c,
                                    across = cross(e, g);
                 const double area = norm2(across), over = area > 0.0 ? 1.0 / area : 0.0;
                 const double second = dot(r, cross(g, across)) * over, third = dot(r, cross(across, e)) * over;
-                const Vec3<double> b = at_end(t[0]);
-                return (second - anchor.second) * (at_end(t[1]) - b) + (third - anchor.third) * (at_end(t[2]) - b);
+                const Vec3<double> d = at_end(t[0]);
+                return (second - anchor.second) * (at_end(t[1]) - d) + (third - anchor.third) * (at_end(t[2]) - d);
             };
-            const Vec3<double> change = stretch(start, at_start) - stretch(end, at_end);
-            const auto& t = s.triangles[end.triangle];
-            if (is_same) {
-                const Vec3<double> a = at_end(t[0]), across = cross(at_end(t[1]) - a, at_end(t[2]) - a);
-                const double first = 1.0 - end.second - end.third, area = norm2(across);
-                const Vec3<double> slip = velocity(i) - first * velocity(t[0]) - end.second * velocity(t[1]) -
-                                          end.third * velocity(t[2]),
-                                   along = slip - (area > 0.0 ? dot(slip, across) / area : 0.0) * across,
-                                   vibration = along + (1.0 / interval.duration) * change;
-                double* const to = out + 3 * n + plan.particle_of_rank[i];
-                to[0] += vibration.x, to[n] += vibration.y, to[2 * n] += vibration.z;
-                continue;
-            }
-            const Vec3<double> force = (0.5 * s.masses[i] * stiffness) * change;
-            const auto add = [&](Index c, double weight) {
-                const std::int64_t k = plan.particle_of_rank[c];
-                const double factor = weight * plan.free_inverse[k];
-                out[k] += factor * force.x, out[n + k] += factor * force.y, out[2 * n + k] += factor * force.z;
-            };
-            add(i, 1.0);
-            add(t[0], end.second + end.third - 1.0);
-            add(t[1], -end.second);
-            add(t[2], -end.third);
+            visit(i, s.triangles[b.triangle], a, b, stretch(a, at_start), stretch(b, at_end));
         }
+}
+
+/// Add what friction between layers may have changed, as `add_friction_change` does for obstacles, whose anchors come
+/// before them. A stuck layer's velocity is that of its particle relative to the anchor's place on the triangle.
+inline void add_layer_friction_change(const Plan& plan, const AnchoredState& start, const AnchoredState& end,
+                                      double* out) {
+    const std::int64_t n = plan.count;
+    const double frequency = plan.contacts.frequency, rate = 1.0 / (end.t - start.t);
+    const RankReader at{plan, end.x}, velocity{plan, end.v};
+    for_each_layer_spring(plan, start, end, [&](Index i, const auto& t, const LayerAnchor& a, const LayerAnchor& b,
+                                                const Vec3<double>& before, const Vec3<double>& stretch) {
+        double* const vibration = out + 3 * n + plan.particle_of_rank[i];
+        if (a.triangle == b.triangle && a.second == b.second && a.third == b.third) {
+            const Vec3<double> c = at(t[0]), across = cross(at(t[1]) - c, at(t[2]) - c);
+            const double first = 1.0 - b.second - b.third, area = norm2(across);
+            const Vec3<double> slip = velocity(i) - first * velocity(t[0]) - b.second * velocity(t[1]) -
+                                      b.third * velocity(t[2]);
+            add_to(vibration, n, slip - (area > 0.0 ? dot(slip, across) / area : 0.0) * across -
+                                     rate * (stretch - before));
+            return;
+        }
+        if (b.bond == sticks) add_to(vibration, n, frequency * stretch);
+        const Vec3<double> force =
+            (0.5 * plan.self->surface.masses[i] * frequency * frequency) * (before - stretch);
+        const auto add = [&](Index c, double weight) {
+            const std::int64_t k = plan.particle_of_rank[c];
+            add_to(out + k, n, (weight * plan.free_inverse[k]) * force);
+        };
+        add(i, 1.0);
+        add(t[0], b.second + b.third - 1.0);
+        add(t[1], -b.second);
+        add(t[2], -b.third);
+    });
+}
+
+/// Add the differences of stretches between layers, as `add_stretch_difference` does for obstacles.
+inline void add_layer_stretch_difference(const Plan& plan, const AnchoredState& a, const AnchoredState& b, double* out) {
+    for_each_layer_spring(plan, a, b, [&](Index i, const auto&, const LayerAnchor& first, const LayerAnchor& second,
+                                          const Vec3<double>& before, const Vec3<double>& stretch) {
+        const bool slide = first.bond == slides && second.bond == slides;
+        if (!slide) add_to(out + plan.particle_of_rank[i], plan.count, stretch - before);
+    });
 }
 
 ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,

@@ -261,6 +261,22 @@ class ContactBinding(Uncopyable):
         check(self._library.cloth_friction_change(self._handle, t, duration, *arrays, anchors, address(out)))
         return out[0], out[1]
 
+    def stretch_difference(self, t: float, ends: Sequence[tuple[Array, StateMemory]]) -> Array:
+        """Return differences of the stretches of anchor springs [m], (3, n), between two states of one time.
+
+        Springs that slide in both are left out, because the cone limits them.
+
+        Args:
+            t: the time [s].
+            ends: positions [m], shape (3, n), and memory of both.
+        """
+        (x, memory), (y, other_memory) = ends
+        self.upload(memory)
+        out, anchors = np.empty(self._shape), float64_address("anchors", other_memory[ANCHORS_KEY], self.anchors_shape)
+        addresses = float64_address("x", x, self._shape), float64_address("x", y, self._shape)
+        check(self._library.cloth_stretch_difference(self._handle, t, *addresses, anchors, address(out)))
+        return out
+
     def friction_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
         """Return the power [W] that friction between layers of the cloth dissipates at time t [s]; 0 without it."""
         if not self.force.has_self_friction:

@@ -384,7 +384,7 @@ class Controller:
             record_power=accumulator is not None and accumulator.record_power,
             record_obstacles=accumulator is not None and accumulator.obstacle_count > 0,
             single_precision=single_precision,
-            jaw_time=self._duration,
+            frame_time=self._duration,
             ratio=piece.ratio,
             expected_runs=expected_runs,
             before=self._before,

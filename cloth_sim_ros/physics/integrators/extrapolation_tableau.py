@@ -100,7 +100,7 @@ class ExtrapolationTableau:
         record_power: runs record the work of damping and wind.
         record_obstacles: runs record the work of obstacles.
         single_precision: runs use single precision.
-        jaw_time: time within which an error of a jaw's rate counts [s], see `difference`.
+        frame_time: length of the frame [s], within which errors of contact count, see `difference`.
         ratio: multirate ratio.
         before: velocities [m/s] at the start of the interval before, and its length [s]; None for none.
         expected_runs: expected number of runs, for prefetching; results do not depend on it.
@@ -117,7 +117,7 @@ class ExtrapolationTableau:
         record_power: bool = False,
         record_obstacles: bool = False,
         single_precision: bool = False,
-        jaw_time: float = 0.0,
+        frame_time: float = 0.0,
         ratio: int = 1,
         expected_runs: int = 0,
         before: tuple[Array, float] | None = None,
@@ -126,7 +126,7 @@ class ExtrapolationTableau:
         self._record_power, self._record_obstacles = record_power, record_obstacles
         self.counts = tuple(counts)
         self.single_precision, self.ratio = single_precision, ratio
-        self._jaw_time = jaw_time
+        self._frame_time = frame_time
         self._expected_runs, self._before = expected_runs, before
         #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
         self.evaluations, self._n_requested = 0, 0
@@ -134,6 +134,7 @@ class ExtrapolationTableau:
         self._combined: dict[int, tuple[Array, Array]] = {}
         self._summaries: dict[int, RunSummary] = {}
         self._changes: dict[int, tuple[float, float]] = {}
+        self._end_memories: dict[int, dict[str, Array]] = {}
         self._distances: dict[int, float] = {}
         self._velocity_weight = VELOCITY_ERROR_TIME
         self._contact_summaries: dict[int, tuple[float, float, tuple[float, float]]] = {}
@@ -217,6 +218,28 @@ class ExtrapolationTableau:
         more, fewer = (combine(ends[:k], weights(self.counts[:k])) for k in (n_runs + 1, n_runs))
         return plastic.displacement(x, more - fewer)
 
+    def _stretch_difference(self, n_runs: int, known: float) -> float:
+        """Return the displacement [m] by the change of anchor springs' stretches if one run more is combined.
+
+        A stretch makes its particle vibrate. The velocity counts within a frame, because the next slip ends it.
+
+        Args:
+            n_runs: number of combined runs.
+            known: displacement [m] up to which an upper limit suffices.
+        """
+        contact = self._plan.contact
+        if contact is None or not contact.force.has_anchors:
+            return 0.0
+        (x, _), end, time = self.combine(n_runs + 1), self.t + self.duration, self._frame_time
+        ends = [(self.combine(k)[0], {**self._start.memory, **self._end_memory(k)}) for k in (n_runs + 1, n_runs)]
+        velocities = contact.force.frequency * contact.stretch_difference(end, ends)
+        limit = time * largest_distance(velocities, np.zeros_like(velocities))
+        if limit <= known:
+            return limit
+        displacement, evaluations = self._plan.velocity_displacement(end, x, velocities, time)
+        self.evaluations += evaluations
+        return displacement
+
     def change(self, n_runs: int) -> tuple[float, float]:
         """Return the largest changes of position [m] and velocity [m/s] if one run more than n_runs is combined."""
         if n_runs not in self._changes:
@@ -229,7 +252,7 @@ class ExtrapolationTableau:
 
         It is the largest distance of a particle's positions, plus the displacement that the difference of velocities
         causes later. Slow waves keep that difference, fast ones lose it within a period. A jaw's half opening counts
-        alike.
+        alike, and so do plastic lengths and the stretches of anchor springs.
         """
         if n_runs not in self._distances:
             distance, velocity_change = self.change(n_runs)
@@ -239,6 +262,7 @@ class ExtrapolationTableau:
                 displacement, evaluations = self._plan.velocity_displacement(end, x, v - w, VELOCITY_ERROR_TIME)
                 self.evaluations += evaluations
                 distance += self._plastic_difference(n_runs)
+                distance += self._stretch_difference(n_runs, distance + displacement)
             if velocity_change:
                 self._velocity_weight = displacement / velocity_change
             self._distances[n_runs] = max(distance + displacement, self._jaw_difference(n_runs))
@@ -267,7 +291,7 @@ class ExtrapolationTableau:
         if next_jaws is None or jaws is None:
             return 0.0
         differences = np.abs(next_jaws - jaws)
-        return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._jaw_time)
+        return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._frame_time)
 
     def contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
         """Return the largest contact energies and self-contact rates in the first n_runs runs; zeros without contact.
@@ -290,9 +314,16 @@ class ExtrapolationTableau:
         state.x, state.v = self.combine(n_runs)
         if not self._plan.has_end_memory:
             return
-        self._make_runs(n_runs)
-        end, runs, run_weights = self.t + self.duration, self._runs[:n_runs], weights(self.counts[:n_runs])
-        state.memory |= self._plan.combine_ends(end, state.x, state.v, runs, run_weights, self._start.memory)
+        state.memory |= self._end_memory(n_runs)
+
+    def _end_memory(self, n_runs: int) -> dict[str, Array]:
+        """Return the memory that runs change, at the end of n_runs combined runs."""
+        if n_runs not in self._end_memories:
+            self._make_runs(n_runs)
+            (x, v), end = self.combine(n_runs), self.t + self.duration
+            runs, run_weights = self._runs[:n_runs], weights(self.counts[:n_runs])
+            self._end_memories[n_runs] = self._plan.combine_ends(end, x, v, runs, run_weights, self._start.memory)
+        return self._end_memories[n_runs]
 
     def work(self, n_runs: int) -> float:
         """Return the external work on the cloth [J] over the interval, by n_runs combined runs.
