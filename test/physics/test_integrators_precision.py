@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pytest
+from support import garment
 from support.raw_sheet import RawSheet
 
+from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
@@ -114,6 +116,48 @@ def test_faster_motion_than_measured_uses_double_precision(perturbation: float, 
     seen = record_precisions(plan)
     Extrapolated(tolerance=1e-2).advance(plan, state, 12 * PERIOD, PERIOD)
     assert (seen[0], any(seen)) == (single, single)
+
+
+def carried_corner() -> tuple[Scene, Callable[[float], dict[str, Sequence[float]]]]:
+    """Return a sheet whose corner a gripper carries on a circle, and the gripper's path."""
+    scene = Scene.from_parameters({"cloth.resolution": (30, 30), "tolerance": 1e-4, "grippers": ["gripper"]})
+    x, y, z = Simulation(scene).positions[-1].tolist()
+    return scene, lambda t: {"gripper": (x + 0.1 * (np.cos(3.0 * t) - 1.0), y - 0.1 * np.sin(3.0 * t), z)}
+
+
+def swung_garment() -> tuple[Scene, Callable[[float], dict[str, Sequence[float]]]]:
+    """Return a T-shirt, whose hinges act every seven steps, and paths of the grippers at its shoulders."""
+    values = garment.parameters(bending="altitude", tolerance=1e-3)
+    scene = Scene.from_parameters(values, files={"garment.obj": garment.obj_file(400)})
+    return scene, lambda t: {name: garment.target(name, t).tolist() for name in garment.SHOULDERS}
+
+
+@pytest.mark.parametrize(("build_scene", "count"), [(carried_corner, 30), (swung_garment, 80)])
+def test_repetition_in_double_precision_takes_longest_steps(build_scene, count: int) -> None:  # type: ignore[no-untyped-def]
+    scene, path = build_scene()
+    simulation = Simulation(scene)
+    plan, run, seen, n_repeated = simulation.plan, simulation.plan.runs, [], 0
+
+    def watched(t, duration, start, steps, *, single_precision=False, multirate=1, **others):  # type: ignore[no-untyped-def]
+        seen.append((single_precision, multirate, steps[0]))
+        return run(t, duration, start, steps, single_precision=single_precision, multirate=multirate, **others)
+
+    plan.runs = watched  # type: ignore[method-assign]
+    for frame in range(count):
+        seen.clear()
+        events = [Target(name, tuple(at)) for name, at in path(frame * scene.period).items()]
+        grasps = [Grasp(name, True) for name in scene.gripper_names if frame == 0]
+        advance = simulation.advance([*events, *grasps]).advance
+        # A run in single precision and the further one of its estimate miss the budget.
+        if [single for single, _, _ in seen[:3]] != [True, True, False]:
+            continue
+        assert advance is not None
+        (_, _, refined_steps), _, (_, ratio, steps) = seen[:3]
+        # Their steps are refined. The longest stable ones suffice for a combination, without multirate hinges.
+        assert (steps, ratio) == (np.ceil(scene.period / (CONSTANTS.stability_safety * advance.limit)), 1)
+        assert refined_steps > steps
+        n_repeated += 1
+    assert n_repeated > 0
 
 
 def test_tight_tolerance_uses_double_precision() -> None:

@@ -539,7 +539,7 @@ class Controller:
                 if is_useless or not is_affordable:
                     break
                 if tableau.single_precision and not self._precision.resolves_error(len(errors) + 2):
-                    estimate.needs_double = self._fits(self.n_runs, self.refinement, piece)
+                    estimate.needs_double = self._fits(self.n_runs, self._refinement_in_double(piece), piece)
                     break
                 self._append_estimate(tableau, chosen)
         floor, measure = self._error.rounding_floor, partial(self._measure_difference, tableau)
@@ -599,6 +599,12 @@ class Controller:
         """
         estimate = self._estimate
         if estimate.needs_double:
+            refinement = self._refinement_in_double(piece)
+            if refinement < self.refinement:
+                self.refinement, self._piece = refinement, None
+                if self._ratio > 1:
+                    # The error of impulses would cost further runs.
+                    self._multirate.ratio = self._ratio = 1
             self._precision.require_double()
             self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
             return True
@@ -642,6 +648,14 @@ class Controller:
         self.n_runs, self.refinement, self._piece = n_runs, next_refinement, None
         self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
         return True
+
+    def _refinement_in_double(self, piece: Piece) -> float:
+        """Return the refinement with which a piece in single precision is repeated in double, with further runs.
+
+        Steps that were refined for fewer runs make their combination more accurate than needed. The longest stable
+        steps usually suffice; if they do not, one run more costs less than shorter steps of all runs.
+        """
+        return min(self.refinement, self._stability.min_refinement(len(self._estimate.errors) + 1, piece.length))
 
     def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
         """Return number of runs and refinement that meet a target [m] with the fewest evaluations, by its estimates."""
