@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.simulate import simulate
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Move
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_integrator import MotionState, integrate_intervals
@@ -460,6 +460,59 @@ def test_hinge_with_friction_is_within_tolerance(
     scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
     frames = unflagged_frames(scene, round(rate), {})
     assert error_of_frames(frames, (2000, 3500), 0.1 * tolerance) <= tolerance * growth
+
+
+def test_hinge_that_a_gripper_turns_round_is_within_tolerance() -> None:
+    # Found by a climb. A hinge that yields turns round at the end of a frame without an estimate, near its reach.
+    tolerance, rate, edge, mass, fold, speed = (
+        3.6246904401840376e-7,
+        91.0,
+        0.20786060598581035,
+        0.0742674505,
+        0.9945545541,
+        0.1407004316,
+    )
+    width, travel, stiffness = 0.9836889837 * edge, 0.015418254732321019, 60.31155820781411
+    tip, along = np.array([np.cos(fold), 0.0, np.sin(fold)]), np.array([-np.sin(fold), 0.0, np.cos(fold)])
+    springs = {
+        "positions": [
+            [0.0, 0.0, 0.0],
+            [0.0, edge, 0.0],
+            [-edge, 0.5 * edge, 0.0],
+            ([0.0, 0.5 * edge, 0.0] + width * tip).tolist(),
+        ],
+        "velocities": [[0.0] * 3] * 3 + [(speed * along).tolist()],
+        "masses": [1.0] * 3 + [mass],
+        "springs": [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3]],
+        "rest_lengths": [edge] + [edge * 1.25**0.5] * 2 + [np.hypot(width, 0.5 * edge)] * 2,
+        "stiffness": stiffness,
+        "k_d0": 0.230149966454,
+        "triangles": [[0, 1, 2], [1, 0, 3]],
+    }
+    parameters = {
+        **SPRINGS,
+        "rate": rate,
+        "tolerance": tolerance,
+        "cloth.anchors": ["0", "1", "2"],
+        "bending.model": "crossed",
+        "bending.flat": True,
+        "bending.friction_moment": 0.035167748077602354,
+        "bending.yield_curvature": 7.1923477815020185,
+        "material.bending_modulus": 0.20157598735922305,
+        "material.damping": 0.0,
+        "grippers": ["hand"],
+        "gripper.model": "spring",
+        "gripper.radius": 0.3 * edge,
+        "gripper.stiffness": 0.15987064371953286,
+        "gripper.damping": 0.35486339641481457,
+        "gripper.max_speed": 0.0,
+    }
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    tip_start = scene.starting_state().positions[3]
+    events = {k: [Target("hand", tip_start - (k // 6 % 2) * travel * along)] for k in range(7, 94, 6)}
+    frames = unflagged_frames(scene, 94, {0: [Target("hand", tip_start), Grasp("hand", True)], **events})
+    # A perturbation does not grow.
+    assert error_of_frames(frames[3:], (900, 1531), 0.1 * tolerance) <= tolerance
 
 
 def unflagged_frames(scene: Scene, count: int, events: Mapping[int, Sequence[Event]]) -> list[SimulatedFrame]:

@@ -130,9 +130,9 @@ class PlasticLengths(Uncopyable):
         stretch, last_stretch = first - before, last - after
         # A hinge that yields all the time stays at its reach, but for what its rate changes in a step.
         limit = self._reach * (1.0 - 1e-6) - 2.0 * error
-        has_kink = moved & (
-            (np.minimum(np.abs(stretch), np.abs(last_stretch)) < limit) | (stretch * last_stretch < 0.0)
-        )
+        is_within = np.minimum(np.abs(stretch), np.abs(last_stretch)) < limit
+        # A hinge that turned round near the end is still near its reach.
+        has_kink = moved & (is_within | (stretch * last_stretch < 0.0) | (first_rate * last_rate < 0.0))
         if not has_kink.any():
             return 0.0
         rate = np.fmax(np.abs(first_rate), np.abs(last_rate)) * has_kink
