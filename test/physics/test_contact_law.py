@@ -66,6 +66,20 @@ def test_damping_never_gives_energy_and_never_pulls(shape):
 
 
 @every_shape
+def test_the_change_of_jerk_is_that_of_the_pushes(shape):
+    path = still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7))
+    _, plan, masses, x, v = about(shape, damping=0.0, path=path, deepest=0.6, farthest=0.95)
+    push, h = force(plan, x, t=0.3), 1e-8
+    normals = push / np.linalg.norm(push, axis=0)
+    slopes = (force(plan, x + h * v, t=0.3) - force(plan, x - h * v, t=0.3)) / (2.0 * h)
+    # A normal that turns does not count.
+    jerks = normals * np.sum(normals * slopes, axis=0) / masses
+    changes = plan.contact.jerk_change(0.3, 0.0, (x, np.zeros_like(x), x, v), {})
+    assert changes == pytest.approx(jerks, abs=1e-4 * np.abs(jerks).max())
+    assert plan.contact.jerk_change(0.3, 0.0, (x, v, x, np.zeros_like(x)), {}) == pytest.approx(-changes)
+
+
+@every_shape
 def test_the_derivative_product_is_that_of_the_force(shape):
     _, plan, _, x, v = about(shape, deepest=0.6, farthest=0.95)
     rng = np.random.default_rng(2)

@@ -148,6 +148,18 @@ def test_invalid_coefficients_and_anchors_are_refused():
         plan.contact.upload({ANCHORS_KEY: anchors})
 
 
+def test_the_change_of_jerk_is_that_of_flat_layers():
+    plan, x, masses = stacked((0.0, 0.0), rough=0.0, damping=0.0)
+    v, h = np.zeros_like(x), 1e-8
+    v[2, x[2] > 0.5 * x[2].max()] = -0.3
+    still = np.zeros_like(x)
+    jerks = (forces(plan, x + h * v, still, masses) - forces(plan, x - h * v, still, masses)) / (2.0 * h * masses)
+    assert np.abs(jerks).max() > 1.0
+    assert plan.contact.jerk_change(0.0, 0.0, (x, still, x, v), {}) == pytest.approx(
+        jerks, abs=1e-5 * np.abs(jerks).max()
+    )
+
+
 def test_friction_changes_where_layers_slid_or_vibrate():
     plan, x, masses = stacked()
     memory, rng = anchored_at(plan, x), np.random.default_rng(7)

@@ -195,6 +195,9 @@ CLOTH_API int cloth_friction_change(Plan* plan, double t, double duration, const
 /// Differences of stretches of anchor springs [m], (3, n), from positions x and the plan's anchors to y and `anchors`.
 CLOTH_API int cloth_stretch_difference(Plan* plan, double t, const double* x, const double* y, const double* anchors,
                                        double* out);
+/// Changes of the jerk by pushes of contact [m/s^3], (3, n), without damping, in an interval.
+CLOTH_API int cloth_contact_jerk_change(Plan* plan, double t, double duration, const double* x0, const double* v0,
+                                        const double* x1, const double* v1, double* out);
 /// Squared frequency and damping rate of contact that has absorbed an energy.
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out);
 

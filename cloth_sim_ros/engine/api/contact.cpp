@@ -170,6 +170,17 @@ CLOTH_API int cloth_stretch_difference(Plan* plan, double t, const double* x, co
         contact::add_layer_stretch_difference(*plan, a, b, out);
     });
 }
+CLOTH_API int cloth_contact_jerk_change(Plan* plan, double t, double duration, const double* x0, const double* v0,
+                                        const double* x1, const double* v1, double* out) {
+    return guarded(plan, [&] {
+        std::fill(out, out + 3 * plan->count, 0.0);
+        const contact::Moment start{t, x0, v0}, end{t + duration, x1, v1};
+        contact::add_contact_jerk(*plan, start, -1.0, out);
+        contact::add_contact_jerk(*plan, end, 1.0, out);
+        contact::add_surface_jerk(*plan, start, -1.0, out);
+        contact::add_surface_jerk(*plan, end, 1.0, out);
+    });
+}
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {
     return guarded(plan, [&] {
         const contact::ContactBounds limits = contact::contact_limits(plan->contacts, energy);

@@ -13,7 +13,7 @@
 
 namespace cloth::api {
 
-CLOTH_API int cloth_engine_abi() { return 28; }
+CLOTH_API int cloth_engine_abi() { return 29; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";

@@ -299,6 +299,18 @@ void add_stretch_difference(const Plan& plan, const AnchoredState& a, const Anch
         });
 }
 
+void add_contact_jerk(const Plan& plan, const Moment& moment, double factor, double* out) {
+    const auto law = plan.contacts.law<double>();
+    const std::int64_t n = plan.count;
+    for_each_contact(plan, moment.t, moment.x, moment.v, [&](const ObstacleContact& contact) {
+        if (!(plan.free_inverse[contact.particle] > 0.0)) return;
+        const double closing = contact.scaling.closing(contact.gap, contact.closing),
+                     jerk = factor * law.stiffness(contact.scaled_gap()) * closing / contact.scaling.scale;
+        double* const to = out + contact.particle;
+        to[0] += jerk * contact.normal.x, to[n] += jerk * contact.normal.y, to[2 * n] += jerk * contact.normal.z;
+    });
+}
+
 /// Power of contacts that recover their thickness [W].
 double contact_growth_power(const Plan& plan, double t, const double* x, const double* v) {
     const auto law = plan.contacts.law<double>();

@@ -43,6 +43,16 @@ void add_friction_change(const Plan& plan, const AnchoredState& start, const Anc
 /// Springs that slide in both are left out, because the cone limits them.
 void add_stretch_difference(const Plan& plan, const AnchoredState& a, const AnchoredState& b, double* out);
 
+/// Positions and velocities at a time.
+struct Moment {
+    double t;
+    const double *x, *v;
+};
+
+/// Add the jerk by pushes at a moment times a factor [m/s^3], (3, n), without damping: by obstacles, and on the surface.
+void add_contact_jerk(const Plan& plan, const Moment& moment, double factor, double* out);
+void add_surface_jerk(Plan& plan, const Moment& moment, double factor, double* out);
+
 /// Energy per mass, in U^2/2, that contact may have to absorb within `duration`. A particle in contact counts with its
 /// contact energy and its closing speed. A particle that comes into contact counts with its speed then, field
 /// accelerations included.

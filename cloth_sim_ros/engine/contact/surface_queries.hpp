@@ -179,6 +179,22 @@ double self_friction_power(Plan& plan, double t, const double* x, const double* 
                                   [&](const auto& c) { dissipation += layer_dissipation(plan, c); });
     return dissipation;
 }
+void add_surface_jerk(Plan& plan, const Moment& moment, double factor, double* out) {
+    for_each_surface_contact<double>(plan, {.t = moment.t, .x = moment.x, .v = moment.v}, [&](const auto& c) {
+        const Contact<double>& m = c.contact;
+        const double scale = factor * m.mass * (m.edges ? m.fade_factor : 1.0) / m.scaling.scale;
+        for (const GapTerm<double>& g : m.gaps) {
+            const double jerk = scale * g.sign * c.law.law(m.edges).stiffness(g.gap) * g.closing;
+            for (int corner = 0; corner < 4; ++corner) {
+                if (g.corner[corner] < 0 || (!m.edges && corner && g.corner[corner] == g.corner[0])) continue;
+                const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
+                const double part = g.weight[corner] * jerk * plan.free_inverse[i];
+                out[i] += part * g.normal.x, out[plan.count + i] += part * g.normal.y;
+                out[2 * plan.count + i] += part * g.normal.z;
+            }
+        }
+    });
+}
 /// Add the power of contacts that recover their thickness [W].
 void add_surface_growth_power(Plan& plan, double t, const double* x, const double* v, double& power) {
     if (!plan.contacts.reduced.any()) return;

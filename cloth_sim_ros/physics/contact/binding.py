@@ -277,6 +277,21 @@ class ContactBinding(Uncopyable):
         check(self._library.cloth_stretch_difference(self._handle, t, *addresses, anchors, address(out)))
         return out
 
+    def jerk_change(self, t: float, duration: float, states: Sequence[Array], memory: StateMemory) -> Array:
+        """Return changes of the jerk by pushes of contact in an interval [m/s^3], (3, n), without damping.
+
+        Args:
+            t: start of the interval [s].
+            duration: its length [s].
+            states: positions [m] and velocities [m/s] at its start, then at its end, shape (3, n) each.
+            memory: of the state at its start.
+        """
+        self.upload(memory)
+        out = np.empty(self._shape)
+        arrays = [float64_address("state", array, self._shape) for array in states]
+        check(self._library.cloth_contact_jerk_change(self._handle, t, duration, *arrays, address(out)))
+        return out
+
     def friction_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
         """Return the power [W] that friction between layers of the cloth dissipates at time t [s]; 0 without it."""
         if not self.force.has_self_friction:

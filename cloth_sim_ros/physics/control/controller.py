@@ -69,9 +69,9 @@ _MIN_PIECE = 2.0**-24
 _ATTRIBUTES = (
     "_allowed _applied_refinement _attempts _before _known_contact _duration _elapsed _ends _error "
     "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_jump "
-    "_may_slide _may_touch _may_turn _met_limit _multirate _multirate_refinement _piece _plan _precision _prediction "
-    "_ratio _rejected_attempt _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned "
-    "budget estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
+    "_may_kink _may_slide _may_touch _may_turn _met_limit _multirate _multirate_refinement _piece _plan _precision "
+    "_prediction _ratio _rejected_attempt _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 "
+    "abandoned budget estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
 )
 
 
@@ -102,8 +102,8 @@ class Controller:
         self.in_fallback = self.exhausted = False
         #: True if a spring may turn over within the present piece.
         self._may_turn = False
-        #: True if a force of friction may jump within the present piece, by more than its error budget allows.
-        self._may_jump = False
+        #: True if friction may jump within the present piece, or contact begin or end, beyond its error budget.
+        self._may_jump = self._may_kink = False
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
@@ -452,8 +452,10 @@ class Controller:
         path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
         grip_jerk_change = self._plan.grip_jerk_change(*path) if self._plan.gripper_count > 0 else 0.0
         self._may_jump, vibrates, vibration = False, False, 0.0
+        self._may_kink, touches, contact_jerk_change = False, False, 0.0
         if self._may_touch and not self.in_fallback:
             self._may_jump, vibrates, vibration = self._check_friction(tableau, piece)
+            touches, contact_jerk_change = self._check_touch(tableau, piece)
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],
             piece.length,
@@ -464,12 +466,12 @@ class Controller:
         )
         _, contact_energy, _ = tableau.contact_summary(n_runs)
         is_harder = contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact.contact_energy
-        if self._may_jump or vibrates or is_harder:
+        if self._may_jump or vibrates or touches or is_harder:
             error = math.inf
         has_kinks = self._plan.plastic is not None and not (self.estimates_error or self.in_fallback)
         if has_kinks and tableau.kink_displacement(n_runs) > self._error.target(piece.length):
             error = math.inf
-        causes = summary.activity, contact_energy, grip_jerk_change, vibration
+        causes = summary.activity, contact_energy, grip_jerk_change, vibration, contact_jerk_change
         self._prediction = ErrorPrediction(error, lower_order_error, *causes)
         return math.inf if self.estimates_error else error
 
@@ -490,6 +492,19 @@ class Controller:
         is_new = vibration > CONSTANTS.estimate_trust_factor * self._known_contact.vibration
         jumps = self._displaces(tableau, piece, change * (piece.step / 4.0))
         return jumps, is_new and self._displaces(tableau, piece, velocities), vibration
+
+    def _check_touch(self, tableau: ExtrapolationTableau, piece: Piece) -> tuple[bool, float]:
+        """Return if new contact displaces by more than the target error, and the largest change of jerk by contact.
+
+        Another particle's contact hides it from the contact energy. A run errs by h^2/24 times the change of jerk. If a
+        contact begins or ends within half a step of the piece's ends, all runs miss it by up to as much.
+        """
+        change = tableau.contact_jerk_change(self.n_runs)
+        if change is None:
+            return False, 0.0
+        largest = largest_distance(change, np.zeros_like(change))
+        self._may_kink = self._displaces(tableau, piece, change * (piece.step * piece.step / 24.0))
+        return self._may_kink and largest > CONSTANTS.estimate_trust_factor * self._known_contact.jerk_change, largest
 
     def _displaces(self, tableau: ExtrapolationTableau, piece: Piece, velocities: Array) -> bool:
         """Return True if errors of velocities [m/s] displace by more than a piece's target error.
@@ -550,7 +565,7 @@ class Controller:
                 estimate.replace(n_runs, measure(n_runs))
                 estimate.confirm(floor, measure)
             self.n_runs = n_runs
-        if self._is_rough or self._may_jump:
+        if self._is_rough or self._may_jump or self._may_kink:
             estimate.end_error = self._estimate_ends(tableau, t, piece)
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
@@ -855,7 +870,7 @@ class Controller:
             self._multirate.memory.ratio = float(self._multirate.ratio)
             self._multirate.memory.store(state)
         if self._plan.contact is not None:
-            estimated = ContactState(frame.contact_energy, frame.vibration)
+            estimated = ContactState(frame.contact_energy, frame.vibration, frame.contact_jerk_change)
             (estimated if self.estimates_error else self._known_contact).store(state)
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)

@@ -44,6 +44,8 @@ class ErrorPrediction(NamedTuple):
     grip_jerk_change: float = 0.0
     #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
     vibration: float = 0.0
+    #: Largest change of a particle's jerk by contact [m/s^3].
+    contact_jerk_change: float = 0.0
 
 
 class FrameTotals:
@@ -57,6 +59,8 @@ class FrameTotals:
     error, lower_order_error, has_missed = 0.0, 0.0, False
     #: Largest contact energy per mass, in U^2/2, and largest velocity of a stuck particle that vibrates [m/s].
     contact_energy, vibration = 0.0, 0.0
+    #: Largest change of a particle's jerk by contact [m/s^3].
+    contact_jerk_change = 0.0
     #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
     longest_step, longest_runs = 0.0, 1
     #: Sum of predicted errors [m]; largest activity and change of jerk of a piece [m/s]; largest change of jerk by
@@ -84,6 +88,7 @@ class FrameTotals:
         self.lower_order_error += prediction.lower_order_error
         self.contact_energy = max(self.contact_energy, prediction.contact_energy)
         self.vibration = max(self.vibration, prediction.vibration)
+        self.contact_jerk_change = max(self.contact_jerk_change, prediction.contact_jerk_change)
 
     def add_estimate(
         self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: Sequence[float], refinement: float

@@ -196,6 +196,14 @@ class ExtrapolationTableau:
             return None
         return contact.friction_change(self.t, self.duration, states, ends, self._start.memory)
 
+    def contact_jerk_change(self, n_runs: int) -> Array | None:
+        """Return changes of the jerk by contact [m/s^3], see `ContactBinding.jerk_change`; None without contact."""
+        contact = self._plan.contact
+        if contact is None:
+            return None
+        states = self._start.x, self._start.v, *self.combine(n_runs)
+        return contact.jerk_change(self.t, self.duration, states, self._start.memory)
+
     def kink_displacement(self, n_runs: int) -> float:
         """Return the displacement [m] by kinks of bending friction, see `PlasticLengths.kink_displacement`."""
         (x, v), plastic = self.combine(n_runs), self._plan.plastic

@@ -156,6 +156,8 @@ class ContactState(ControllerState):
     contact_energy: float = bounded_number(0.0, minimum=0.0)
     #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
     vibration: float = bounded_number(0.0, minimum=0.0, is_later=True)
+    #: Largest change of a particle's jerk by contact [m/s^3].
+    jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
 
 @attrs.define
