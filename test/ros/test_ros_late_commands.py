@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from cloth_sim_ros.ros.timing import pacer
 from cloth_sim_ros.ros.timing.pacer import EXECUTOR_TIMEOUT, FrameTick, WallPacer
 
 RATE = 50.0
@@ -56,8 +57,11 @@ class Executor:
 
 
 @pytest.fixture
-def start_pacer() -> Iterator[Callable[..., None]]:
-    """`start_pacer(executor, on_frame_tick)`: frames in the timer thread until the test ends."""
+def start_pacer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """`start_pacer(executor, on_frame_tick)`: frames in the timer thread until the test ends, however busy the
+    machine.
+    """
+    monkeypatch.setattr(pacer, "_STOP_TIMEOUT", 30.0)
     pacers = list[WallPacer]()
 
     def start(executor: Executor, on_frame_tick: Callable[[FrameTick], None]) -> None:
@@ -69,26 +73,32 @@ def start_pacer() -> Iterator[Callable[..., None]]:
         pacers[-1].start()
 
     yield start
-    for pacer in pacers:
-        assert pacer.stop()
+    for started in pacers:
+        assert started.stop()
 
 
 @pytest.mark.parametrize(
-    ("frame", "delay", "count"),
+    ("frame", "delay", "timeout", "count"),
     [
-        (1.3 / RATE, 0.0, 12),
-        (2.6 / RATE, 0.0, 12),
-        (1.3 / RATE, 1.4 / RATE, 12),
-        (2.6 / RATE, 1.4 / RATE, 12),
-        # Each frame, or two spins together, take longer than EXECUTOR_TIMEOUT.
-        (1.2 * EXECUTOR_TIMEOUT, 1.4 / RATE, 5),
-        (1.3 / RATE, 0.6 * EXECUTOR_TIMEOUT, 5),
+        (1.3 / RATE, 0.0, 30.0, 12),
+        (2.6 / RATE, 0.0, 30.0, 12),
+        (1.3 / RATE, 1.4 / RATE, 30.0, 12),
+        (2.6 / RATE, 1.4 / RATE, 30.0, 12),
+        # Each frame, or two spins together, take longer than the timeout.
+        (1.8, 1.4 / RATE, 1.5, 4),
+        (1.3 / RATE, 0.9, 1.5, 4),
     ],
     ids=["long", "longer", "long-late", "longer-late", "longest-late", "long-latest"],
 )
 def test_frame_after_a_long_one_takes_waiting_commands(
-    start_pacer: Callable[..., None], frame: float, delay: float, count: int
+    start_pacer: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    frame: float,
+    delay: float,
+    timeout: float,
+    count: int,
 ) -> None:
+    monkeypatch.setattr(pacer, "EXECUTOR_TIMEOUT", timeout)
     executor = Executor(delay=delay)
     left = list[int]()
 
