@@ -533,7 +533,7 @@ class Controller:
         Returns:
             The error; infinite if single precision does not resolve that of further runs, which may suffice.
         """
-        estimate = self._estimate = ErrorEstimate(self._is_rough)
+        estimate = self._estimate = ErrorEstimate(self._is_rough, jumps=self._may_jump)
         errors = estimate.errors
         if not self.estimates_error:
             self.estimates_error = True
@@ -588,10 +588,11 @@ class Controller:
     def _count_estimates(self, counts: tuple[int, ...]) -> int:
         """Return the number of combinations whose error is estimated, so that the chosen one is reliable.
 
-        The error of a single run of a few steps does not follow its order, so its estimate may be small by chance. A
-        second one confirms it.
+        The error of a single run does not follow its order in a few steps, or where friction may jump. So its estimate
+        may be small by chance. A second one confirms it.
         """
-        is_confirmed = self.n_runs == 1 and counts[0] < CONSTANTS.min_ordered_steps and not self.in_fallback
+        is_ordered = counts[0] >= CONSTANTS.min_ordered_steps and not self._may_jump
+        is_confirmed = self.n_runs == 1 and not is_ordered and not self.in_fallback
         return min(self.n_runs + is_confirmed, self.options.n_runs)
 
     def _estimate_ends(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> float:

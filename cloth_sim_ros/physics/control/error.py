@@ -43,6 +43,8 @@ class ErrorEstimate:
     """Error estimates of a piece [m]: of 1, 2, ... combined runs, and at the ends of the piece."""
 
     is_rough: bool
+    #: True if friction may jump. Runs then do not gain on one another, and the largest error counts for all.
+    jumps: bool = False
     #: Errors of T_1, T_2, ... [m], and error that force jumps at the ends of the piece may cause [m].
     errors: list[float] = attrs.Factory(list)
     end_error: float = 0.0
@@ -59,7 +61,7 @@ class ErrorEstimate:
         """Append the estimated error [m] of the next combination, of one run more; rough motion may raise it.
 
         If the motion is rough, an estimate may be small by chance. Then it counts as at least what the gain of the
-        combination before it makes plausible.
+        combination before it makes plausible. At a jump the largest estimate counts for all combinations.
         """
         errors = self.errors
         if is_approximate:
@@ -67,6 +69,9 @@ class ErrorEstimate:
         if self.is_rough and errors:
             gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else CONSTANTS.first_gain
             error = max(error, errors[-1] * gain * gain)
+        if self.jumps:
+            error = max(error, *errors, 0.0)
+            errors[:] = [error] * len(errors)
         errors.append(error)
 
     def replace(self, n_runs: int, error: float) -> None:
