@@ -360,6 +360,21 @@ def test_particle_on_a_shaken_table_is_within_tolerance(
             65,
         ),
         (56.0, 4.4777e-3, 0.0, 3.7309, 2.2054, 1.15987, 0.048206, 8.00056e-4, 4.8052, 1.55037, 5.85976e-6, 28),
+        # It touches the table only within a frame, not at its ends.
+        (
+            35.0,
+            1.410951166e-3,
+            0.986804782,
+            2.5899409,
+            57.576801,
+            0.3570593,
+            0.474931151,
+            1.6978022e-3,
+            27.5387083,
+            0.0,
+            1.5112873e-5,
+            1,
+        ),
     ],
 )
 def test_particle_that_touches_a_table_is_within_tolerance(

@@ -299,13 +299,19 @@ void add_stretch_difference(const Plan& plan, const AnchoredState& a, const Anch
         });
 }
 
-void add_contact_jerk(const Plan& plan, const Moment& moment, double factor, double* out) {
+void add_contact_jerk(const Plan& plan, const Moment& moment, double factor, double duration, double* out) {
     const auto law = plan.contacts.law<double>();
-    const std::int64_t n = plan.count;
-    for_each_contact(plan, moment.t, moment.x, moment.v, [&](const ObstacleContact& contact) {
+    const double thickness = plan.contacts.thickness;
+    const auto reach = [&](double speed) { return fma(speed, duration, thickness); };
+    for_each_near(plan, moment.t, moment.x, moment.v, none, reach, [&](const ObstacleContact& contact) {
+        const std::int64_t n = plan.count;
+        const double closing = contact.scaling.closing(contact.gap, contact.closing), gap = contact.scaled_gap();
         if (!(plan.free_inverse[contact.particle] > 0.0)) return;
-        const double closing = contact.scaling.closing(contact.gap, contact.closing),
-                     jerk = factor * law.stiffness(contact.scaled_gap()) * closing / contact.scaling.scale;
+        if (!(gap < thickness) && !(gap < thickness - factor * closing * duration)) return;
+        // Out of contact, the surface stops the particle within the interval, or has stopped it.
+        const double speed = closing / ContactLaw<double>::speed,
+                     nearest = gap < thickness ? gap : stopping_gap(speed * speed) * thickness,
+                     jerk = factor * law.stiffness(nearest) * closing / contact.scaling.scale;
         double* const to = out + contact.particle;
         to[0] += jerk * contact.normal.x, to[n] += jerk * contact.normal.y, to[2 * n] += jerk * contact.normal.z;
     });
