@@ -113,6 +113,8 @@ CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, dou
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out);
 CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
                                        const double* dv, double* out);
+/// Jerk by hinges [m/s^3], (3, n); see plan::hinge_jerk.
+CLOTH_API int cloth_hinge_jerk(Plan* plan, const double* x, const double* v, double* out);
 /// Blocks of a list of springs or joints, in its own order; see pair_blocks.
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out);

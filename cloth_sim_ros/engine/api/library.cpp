@@ -13,7 +13,7 @@
 
 namespace cloth::api {
 
-CLOTH_API int cloth_engine_abi() { return 29; }
+CLOTH_API int cloth_engine_abi() { return 30; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -210,6 +210,9 @@ CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* ou
 CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
                                        const double* dv, double* out) {
     return guarded(plan, [&] { plan::add_product(*plan, t, x, v, dx, dv, out); });
+}
+CLOTH_API int cloth_hinge_jerk(Plan* plan, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] { plan::hinge_jerk(*plan, x, v, out); });
 }
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {

@@ -108,6 +108,16 @@ void add_product(Plan& plan, double t, const double* x, const double* v, const d
     }
 }
 
+void hinge_jerk(const Plan& plan, const double* x, const double* v, double* out) {
+    const std::int64_t n = plan.count;
+    const std::vector<double> no_change(3 * n, 0.0);
+    std::fill_n(out, 3 * n, 0.0);
+    for (const List& list : plan.lists)
+        if (list.slow) add_list_product(list, x, v, v, no_change.data(), n, out);
+    for (int axis = 0; axis < 3; ++axis)
+        for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] *= plan.inverse[i];
+}
+
 void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping, double* blocks) {
     for (std::int64_t e = 0; e < list.count; ++e) {
         Sym3<double> b;

@@ -36,6 +36,9 @@ void add_grip_wrenches(const Plan& plan, double t, const double* x, const double
 void add_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
                  double* out);
 
+/// Jerk by hinges at constant velocities v [m/s^3], (3, n), zero for anchored particles, without added mass.
+void hinge_jerk(const Plan& plan, const double* x, const double* v, double* out);
+
 /// Largest eigenvalues of n matrices (6, n).
 void eigenvalues(const double* blocks, std::int64_t n, double* to);
 /// Add the bounds of stiffness and damping of all parts except grippers, contact and drag to (6, n).

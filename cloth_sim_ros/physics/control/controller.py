@@ -123,8 +123,8 @@ class Controller:
         tolerance = math.inf if options.tolerance is None else options.tolerance
         self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
         self._error = ErrorRule(error, self.budget, options.n_runs, state)
-        #: Contact in the last frame with an estimate.
-        self._known_contact = ContactState() if plan.contact is None else ContactState.load(state)
+        #: Contact, or jerk by multirate hinges, in the last frame with an estimate.
+        self._known_contact = ContactState.load(state)
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
@@ -452,10 +452,11 @@ class Controller:
         path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
         grip_jerk_change = self._plan.grip_jerk_change(*path) if self._plan.gripper_count > 0 else 0.0
         self._may_jump, vibrates, vibration = False, False, 0.0
-        self._may_kink, touches, contact_jerk_change = False, False, 0.0
+        self._may_kink, is_other_jerk, jerk_change = False, False, 0.0
         if self._may_touch and not self.in_fallback:
             self._may_jump, vibrates, vibration = self._check_friction(tableau, piece)
-            touches, contact_jerk_change = self._check_touch(tableau, piece)
+        if (self._may_touch or piece.ratio > 1) and not self.in_fallback:
+            is_other_jerk, jerk_change = self._check_jerk(tableau, piece)
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],
             piece.length,
@@ -466,12 +467,12 @@ class Controller:
         )
         _, contact_energy, _ = tableau.contact_summary(n_runs)
         is_harder = contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact.contact_energy
-        if self._may_jump or vibrates or touches or is_harder:
+        if self._may_jump or vibrates or is_other_jerk or is_harder:
             error = math.inf
         has_kinks = self._plan.plastic is not None and not (self.estimates_error or self.in_fallback)
         if has_kinks and tableau.kink_displacement(n_runs) > self._error.target(piece.length):
             error = math.inf
-        causes = summary.activity, contact_energy, grip_jerk_change, vibration, contact_jerk_change
+        causes = summary.activity, contact_energy, grip_jerk_change, vibration, jerk_change
         self._prediction = ErrorPrediction(error, lower_order_error, *causes)
         return math.inf if self.estimates_error else error
 
@@ -493,18 +494,28 @@ class Controller:
         jumps = self._displaces(tableau, piece, change * (piece.step / 4.0))
         return jumps, is_new and self._displaces(tableau, piece, velocities), vibration
 
-    def _check_touch(self, tableau: ExtrapolationTableau, piece: Piece) -> tuple[bool, float]:
-        """Return if new contact displaces by more than the target error, and the largest change of jerk by contact.
+    def _check_jerk(self, tableau: ExtrapolationTableau, piece: Piece) -> tuple[bool, float]:
+        """Return if new jerk by contact or multirate hinges displaces by more than the target error, and the largest.
 
-        Another particle's contact hides it from the contact energy. A run errs by h^2/24 times the change of jerk. If a
-        contact begins or ends within half a step of the piece's ends, all runs miss it by up to as much.
+        Activity and contact energy of another particle hide it. A run errs by h^2/24 times the change of jerk. If a
+        contact begins or ends within half a step of the piece's ends, all runs miss it by up to as much. Multirate
+        hinges err by the square of the interval between their impulses.
         """
-        change = tableau.contact_jerk_change(self.n_runs)
-        if change is None:
-            return False, 0.0
+        if piece.ratio > 1:
+            change, interval = self._plan.hinge_jerk(*tableau.combine(self.n_runs)), piece.ratio * piece.step
+        else:
+            contact_change, interval = tableau.contact_jerk_change(self.n_runs), piece.step
+            if contact_change is None:
+                return False, 0.0
+            change = contact_change
         largest = largest_distance(change, np.zeros_like(change))
-        self._may_kink = self._displaces(tableau, piece, change * (piece.step * piece.step / 24.0))
-        return self._may_kink and largest > CONSTANTS.estimate_trust_factor * self._known_contact.jerk_change, largest
+        is_new = largest > CONSTANTS.estimate_trust_factor * self._known_contact.jerk_change
+        if piece.ratio > 1 and not is_new:
+            return False, largest
+        # Contact may begin or end within half a step whether it is new or not.
+        displaces = self._displaces(tableau, piece, change * (interval * interval / 24.0))
+        self._may_kink = displaces and piece.ratio == 1
+        return displaces and is_new, largest
 
     def _displaces(self, tableau: ExtrapolationTableau, piece: Piece, velocities: Array) -> bool:
         """Return True if errors of velocities [m/s] displace by more than a piece's target error.
@@ -870,7 +881,7 @@ class Controller:
         if self._plan.has_hinges:
             self._multirate.memory.ratio = float(self._multirate.ratio)
             self._multirate.memory.store(state)
-        if self._plan.contact is not None:
+        if self._plan.contact is not None or frame.max_ratio > 1:
             estimated = ContactState(frame.contact_energy, frame.vibration, frame.contact_jerk_change)
             (estimated if self.estimates_error else self._known_contact).store(state)
         if self._fallback_count or self.in_fallback:

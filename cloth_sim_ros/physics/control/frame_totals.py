@@ -44,7 +44,7 @@ class ErrorPrediction(NamedTuple):
     grip_jerk_change: float = 0.0
     #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
     vibration: float = 0.0
-    #: Largest change of a particle's jerk by contact [m/s^3].
+    #: Largest change of a particle's jerk by contact, or by multirate hinges [m/s^3].
     contact_jerk_change: float = 0.0
 
 
@@ -59,7 +59,7 @@ class FrameTotals:
     error, lower_order_error, has_missed = 0.0, 0.0, False
     #: Largest contact energy per mass, in U^2/2, and largest velocity of a stuck particle that vibrates [m/s].
     contact_energy, vibration = 0.0, 0.0
-    #: Largest change of a particle's jerk by contact [m/s^3].
+    #: Largest change of a particle's jerk by contact, or by multirate hinges [m/s^3].
     contact_jerk_change = 0.0
     #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
     longest_step, longest_runs = 0.0, 1

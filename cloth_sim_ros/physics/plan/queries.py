@@ -215,6 +215,13 @@ class PlanQueries:
             return 0.0
         return self._grip_binding.jerk_change(t, duration, self.model.inverse_masses, rates, error_time)
 
+    def hinge_jerk(self, x: Array, v: Array) -> Array:
+        """Return the jerk by hinges at constant velocities [m/s^3], shape (3, n)."""
+        out = np.empty(self._shape)
+        addresses = float64_address("x", x, self._shape), float64_address("v", v, self._shape)
+        check(self._library.cloth_hinge_jerk(self._handle, *addresses, address(out)))
+        return out
+
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
         """Set x, v of prescribed particles to their gripper's; return impulses, work, dissipation, (grippers, 8)."""
         if self._grip_binding is None:

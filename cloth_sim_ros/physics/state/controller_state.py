@@ -148,7 +148,7 @@ class ErrorState(ControllerState):
 
 @attrs.define
 class ContactState(ControllerState):
-    """State of contact in step control: what the last frame with an error estimate contained."""
+    """State of contact and multirate hinges in step control: what the last frame with an error estimate contained."""
 
     key = "control.contact"
 
@@ -156,7 +156,7 @@ class ContactState(ControllerState):
     contact_energy: float = bounded_number(0.0, minimum=0.0)
     #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
     vibration: float = bounded_number(0.0, minimum=0.0, is_later=True)
-    #: Largest change of a particle's jerk by contact [m/s^3].
+    #: Largest change of a particle's jerk by contact, or by multirate hinges [m/s^3].
     jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
 
