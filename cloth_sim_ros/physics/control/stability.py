@@ -56,7 +56,9 @@ class StabilityRule:
     def is_damped(self, length: float) -> bool:
         """Return True if damping removes the fastest waves within a time [s]."""
         memory = self.memory
-        return memory.omega2 == 0.0 or (memory.damping * length >= CONSTANTS.damped_wave_decay and self._damps_waves)
+        # Waves of an undamped part persist, however much another part is damped.
+        rate = min(memory.damping, self._plan.min_damping_time() * memory.omega2)
+        return memory.omega2 == 0.0 or (rate * length >= CONSTANTS.damped_wave_decay and self._damps_waves)
 
     def min_refinement(self, n_runs: int, length: float) -> float:
         """Return the least refinement at which a combination of runs is stable over a length [s]; 1 for one run."""
