@@ -301,9 +301,16 @@ void add_stretch_difference(const Plan& plan, const AnchoredState& a, const Anch
 
 void add_contact_jerk(const Plan& plan, const Moment& moment, double factor, double duration, double* out) {
     const auto law = plan.contacts.law<double>();
-    const double thickness = plan.contacts.thickness;
+    const Contacts& contacts = plan.contacts;
+    const double thickness = contacts.thickness, fastest = max_speed(moment.v, plan.count);
+    const BoundingBall cloth(moment.x, plan.count);
     const auto reach = [&](double speed) { return fma(speed, duration, thickness); };
-    for_each_near(plan, moment.t, moment.x, moment.v, none, reach, [&](const ObstacleContact& contact) {
+    const auto is_far = [&](std::int64_t obstacle, const PosedObstacle<double>& posed) {
+        return cloth.finite && !contacts.jaw_of(obstacle) &&
+               cloth.distance_to(contacts.obstacles[obstacle], posed) - cloth.rounding_margin(posed) >
+                   reach(1.001 * cloth.max_relative_speed(fastest, posed));
+    };
+    for_each_near(plan, moment.t, moment.x, moment.v, is_far, reach, [&](const ObstacleContact& contact) {
         const std::int64_t n = plan.count;
         const double closing = contact.scaling.closing(contact.gap, contact.closing), gap = contact.scaled_gap();
         if (!(plan.free_inverse[contact.particle] > 0.0)) return;
