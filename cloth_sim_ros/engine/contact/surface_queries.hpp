@@ -392,39 +392,43 @@ inline void add_layer_friction_change(const Plan& plan, const AnchoredState& sta
     const std::int64_t n = plan.count;
     const double frequency = plan.contacts.frequency, rate = 1.0 / (end.t - start.t);
     const RankReader at{plan, end.x}, velocity{plan, end.v};
-    for_each_layer_spring(plan, start, end, [&](Index i, const auto& t, const LayerAnchor& a, const LayerAnchor& b,
-                                                const Vec3<double>& before, const Vec3<double>& stretch) {
-        double* const vibration = out + 3 * n + plan.particle_of_rank[i];
-        if (a.triangle == b.triangle && a.second == b.second && a.third == b.third) {
-            const Vec3<double> c = at(t[0]), across = cross(at(t[1]) - c, at(t[2]) - c);
-            const double first = 1.0 - b.second - b.third, area = norm2(across);
-            const Vec3<double> slip = velocity(i) - first * velocity(t[0]) - b.second * velocity(t[1]) -
-                                      b.third * velocity(t[2]);
-            add_to(vibration, n, slip - (area > 0.0 ? dot(slip, across) / area : 0.0) * across -
-                                     rate * (stretch - before));
-            return;
-        }
-        if (b.bond == sticks) add_to(vibration, n, frequency * stretch);
-        const Vec3<double> force =
-            (0.5 * plan.self->surface.masses[i] * frequency * frequency) * (before - stretch);
-        const auto add = [&](Index c, double weight) {
-            const std::int64_t k = plan.particle_of_rank[c];
-            add_to(out + k, n, (weight * plan.free_inverse[k]) * force);
-        };
-        add(i, 1.0);
-        add(t[0], b.second + b.third - 1.0);
-        add(t[1], -b.second);
-        add(t[2], -b.third);
-    });
+    for_each_layer_spring(
+        plan, start, end,
+        [&](Index i, const auto& t, const LayerAnchor& a, const LayerAnchor& b, const Vec3<double>& before,
+            const Vec3<double>& stretch) {
+            double* const vibration = out + 3 * n + plan.particle_of_rank[i];
+            if (a.triangle == b.triangle && a.second == b.second && a.third == b.third) {
+                const Vec3<double> c = at(t[0]), across = cross(at(t[1]) - c, at(t[2]) - c);
+                const double first = 1.0 - b.second - b.third, area = norm2(across);
+                const Vec3<double> slip =
+                    velocity(i) - first * velocity(t[0]) - b.second * velocity(t[1]) - b.third * velocity(t[2]);
+                add_to(vibration, n,
+                       slip - (area > 0.0 ? dot(slip, across) / area : 0.0) * across - rate * (stretch - before));
+                return;
+            }
+            if (b.bond == sticks) add_to(vibration, n, frequency * stretch);
+            const Vec3<double> force =
+                (0.5 * plan.self->surface.masses[i] * frequency * frequency) * (before - stretch);
+            const auto add = [&](Index c, double weight) {
+                const std::int64_t k = plan.particle_of_rank[c];
+                add_to(out + k, n, (weight * plan.free_inverse[k]) * force);
+            };
+            add(i, 1.0);
+            add(t[0], b.second + b.third - 1.0);
+            add(t[1], -b.second);
+            add(t[2], -b.third);
+        });
 }
 
 /// Add the differences of stretches between layers, as `add_stretch_difference` does for obstacles.
-inline void add_layer_stretch_difference(const Plan& plan, const AnchoredState& a, const AnchoredState& b, double* out) {
-    for_each_layer_spring(plan, a, b, [&](Index i, const auto&, const LayerAnchor& first, const LayerAnchor& second,
-                                          const Vec3<double>& before, const Vec3<double>& stretch) {
-        const bool slide = first.bond == slides && second.bond == slides;
-        if (!slide) add_to(out + plan.particle_of_rank[i], plan.count, stretch - before);
-    });
+inline void add_layer_stretch_difference(const Plan& plan, const AnchoredState& a, const AnchoredState& b,
+                                         double* out) {
+    for_each_layer_spring(plan, a, b,
+                          [&](Index i, const auto&, const LayerAnchor& first, const LayerAnchor& second,
+                              const Vec3<double>& before, const Vec3<double>& stretch) {
+                              const bool slide = first.bond == slides && second.bond == slides;
+                              if (!slide) add_to(out + plan.particle_of_rank[i], plan.count, stretch - before);
+                          });
 }
 
 ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
