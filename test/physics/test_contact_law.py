@@ -79,6 +79,29 @@ def test_the_change_of_jerk_is_that_of_the_pushes(shape):
     assert plan.contact.jerk_change(0.3, 0.0, (x, v, x, np.zeros_like(x)), {}) == pytest.approx(-changes)
 
 
+@pytest.mark.parametrize("speed", [0.1, 1.0, 5.0])
+def test_contact_within_an_interval_counts_where_it_stops(speed):
+    plan = alone(contact("plane", paths=[still()], damping=0.0), count=1)
+    down, zeros = np.array([[0.0], [0.0], [-speed]]), np.zeros((3, 1))
+
+    def at(gap):
+        return np.array([[0.0], [0.0], [gap]])
+
+    # The gap at which contact has absorbed the kinetic energy, by bisection.
+    low, high = 1e-9 * THICKNESS, THICKNESS
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        stops_later = plan.energies(0.0, at(middle), None, memory={})[1] < 0.5 * speed**2
+        low, high = (low, middle) if stops_later else (middle, high)
+    expected = plan.contact.jerk_change(0.0, 0.0, (at(low), down, at(1.0), zeros), {})
+    assert expected[2, 0] < 0.0
+    distant, duration = at(THICKNESS + 0.5 * speed), 0.51
+    assert plan.contact.jerk_change(0.0, duration, (distant, down, at(1e3), zeros), {}) == pytest.approx(expected)
+    # A particle that leaves has met it; one that does not get there in time has not.
+    assert plan.contact.jerk_change(0.0, duration, (at(1e3), zeros, distant, -down), {}) == pytest.approx(expected)
+    assert not plan.contact.jerk_change(0.0, 0.49, (distant, down, distant, -down), {}).any()
+
+
 @every_shape
 def test_the_derivative_product_is_that_of_the_force(shape):
     _, plan, _, x, v = about(shape, deepest=0.6, farthest=0.95)
