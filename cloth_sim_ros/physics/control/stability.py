@@ -53,11 +53,16 @@ class StabilityRule:
         # Grips and contact act locally, and air damps weakly.
         return any(force.damped and force.damps_waves for force in self._plan.model.forces)
 
+    @cached_property
+    def _min_damping_time(self) -> float:
+        # A frame asks several times, and grips change only between frames.
+        return self._plan.min_damping_time()
+
     def is_damped(self, length: float) -> bool:
         """Return True if damping removes the fastest waves within a time [s]."""
         memory = self.memory
         # Waves of an undamped part persist, however much another part is damped.
-        rate = min(memory.damping, self._plan.min_damping_time() * memory.omega2)
+        rate = min(memory.damping, self._min_damping_time * memory.omega2)
         return memory.omega2 == 0.0 or (rate * length >= CONSTANTS.damped_wave_decay and self._damps_waves)
 
     def min_refinement(self, n_runs: int, length: float) -> float:
