@@ -205,6 +205,7 @@ def test_stretch_difference_of_layers_that_stick():
     memory, rng = anchored_at(plan, x), np.random.default_rng(7)
     anchors, triangles = memory[ANCHORS_KEY].copy(), plan.contact.force.surface.triangles
     anchors[:, 3, 1::3] *= 2.0
+    anchors[:, 1:3] += 1e-4 * rng.normal(size=anchors[:, 1:3].shape)
     moved_anchors, y = anchors.copy(), x + 1e-6 * rng.normal(size=x.shape)
     moved_anchors[:, 1:3] += 1e-4 * rng.normal(size=moved_anchors[:, 1:3].shape)
     ends = [(x, {**memory, ANCHORS_KEY: anchors}), (y, {**memory, ANCHORS_KEY: moved_anchors})]
