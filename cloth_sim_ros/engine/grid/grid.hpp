@@ -24,10 +24,17 @@ inline constexpr Ends family_ends[family_count] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {
 inline constexpr int row_reach = 2;
 
 /// Components of a padded row: positions, velocities, damping velocities, previous accelerations and, in single
-/// precision, the low parts of positions: what rounding leaves of them.
-enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acceleration = 9, low_position = 12 };
+/// precision, the low parts of positions and velocities: what rounding leaves of them.
+enum Slot : int {
+    position = 0,
+    velocity = 3,
+    damping_velocity = 6,
+    previous_acceleration = 9,
+    low_position = 12,
+    low_velocity = 15
+};
 template <class T>
-inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
+inline constexpr int components = sizeof(T) == 4 ? 18 : 12;
 
 /// Components of a mass block: xx, yy, zz, xy, xz, yz.
 inline constexpr int block_numbers = 6;
@@ -37,7 +44,7 @@ template <class T>
 inline T low_part(double value, T high) {
     return static_cast<T>(value - static_cast<double>(high));
 }
-/// Position at the end of a run; in single precision the change is added to the initial one.
+/// Position or velocity at the end of a run; in single precision the change is added to the initial one.
 template <class T>
 inline double final_position(double initial, double origin, T high, T low) {
     if constexpr (sizeof(T) == 8) return high;

@@ -135,7 +135,17 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
                 store(at.accelerations + c * at.acceleration_pitch + j, a);
                 return;
             }
-            const V v = fma(kick, a, load(x_c + velocity * pitch));
+            V v, low_v{};
+            if constexpr (sizeof(T) == 8) {
+                v = fma(kick, a, load(x_c + velocity * pitch));
+            } else {
+                // Kahan summation: constant accelerations would be rounded with one sign in each step.
+                const V v_old = load(x_c + velocity * pitch);
+                const V increment = fma(kick, a, load(x_c + low_velocity * pitch));
+                v = v_old + increment;
+                low_v = increment - (v - v_old);
+                store(x_c + low_velocity * pitch, low_v);
+            }
             store(x_c + velocity * pitch, v);
             if constexpr (uses_velocity) {
                 const V previous_a = load(x_c + previous_acceleration * pitch);
@@ -148,7 +158,8 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
                 store(x_c, fma(drift, v, x_old));
             } else {
                 // Kahan summation: the low part keeps what rounding leaves of the position.
-                const V increment = fma(drift, v, load(x_c + low_position * pitch)), end = x_old + increment;
+                const V increment = fma(drift, v, fma(drift, low_v, load(x_c + low_position * pitch)));
+                const V end = x_old + increment;
                 store(x_c + low_position * pitch, increment - (end - x_old));
                 store(x_c, end);
             }

@@ -201,6 +201,9 @@ private:
                 T *const high = to + (position + c) * pitch_, *const low = to + (low_position + c) * pitch_;
                 for (std::int64_t j = 0; j < columns; ++j) low[j] = low_part(x[j] - off_grid_.origin[c], high[j]);
                 std::fill(low + columns, low + pitch_, T(0));
+                T* const low_v = to + (low_velocity + c) * pitch_;
+                for (std::int64_t j = 0; full && j < columns; ++j) low_v[j] = low_part(v[j], static_cast<T>(v[j]));
+                if (full) std::fill(low_v + columns, low_v + pitch_, T(0));
             }
             put(damping_velocity + c, v, 0.0);
             if (full) put(velocity + c, v, 0.0);
@@ -214,12 +217,13 @@ private:
             for (int c = 0; c < 3; ++c) {
                 const std::int64_t at = c * n + row * columns;
                 const T *const x = from + (position + c) * pitch_, *const v = from + (velocity + c) * pitch_;
-                const T* const low = from + ((sizeof(T) == 4 ? low_position : position) + c) * pitch_;
+                const T *const low = from + ((sizeof(T) == 4 ? low_position : position) + c) * pitch_,
+                              *const low_v = from + ((sizeof(T) == 4 ? low_velocity : velocity) + c) * pitch_;
                 const double *const x0 = run_.x0 + at, *const v0 = run_.v0 + at;
                 for (std::int64_t j = 0; run_.x && j < columns; ++j)
                     run_.x[at + j] = final_position<T>(x0[j], off_grid_.origin[c], x[j], low[j]);
                 for (std::int64_t j = 0; run_.v && j < columns; ++j)
-                    run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
+                    run_.v[at + j] = final_position<T>(v0[j], 0.0, v[j], low_v[j]);
             }
             for (std::int64_t j = 0; run_.activity && j < columns; ++j)
                 if (!off_grid_.has_prescribed() || plan_.free_inverse[row * columns + j] > 0.0)
@@ -240,7 +244,7 @@ private:
                         at[j] = fma(half, v, x);
                     } else {
                         T& low = at[low_position * pitch_ + j];
-                        const T increment = fma(half, v, low);
+                        const T increment = fma(half, v, fma(half, at[low_velocity * pitch_ + j], low));
                         at[j] = x + increment;
                         low = increment - (at[j] - x);
                     }

@@ -22,6 +22,7 @@ public:
         : plan_(plan), run_(run), off_grid_(plan, run), velocity_(plan.workspace<T>(run.workspace).particle_arrays[0]),
           previous_acceleration_(plan.workspace<T>(run.workspace).particle_arrays[1]),
           compensation_(plan.workspace<T>(run.workspace).particle_arrays[2]),
+          velocity_compensation_(plan.workspace<T>(run.workspace).particle_arrays[3]),
           middle_(plan.workspace<T>(run.workspace).middle_velocities) {
         threads_ =
             off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
@@ -33,6 +34,7 @@ public:
         velocity_.assign(4 * n, T(0));
         previous_acceleration_.assign(4 * n, T(0));
         compensation_.assign(sizeof(T) == 4 ? 4 * n : 0, T(0));
+        velocity_compensation_.assign(sizeof(T) == 4 ? 4 * n : 0, T(0));
         middle_.resize(run.activity ? 4 * n : 0);
         for (int c = 0; c < 3; ++c)
             for (std::int64_t i = 0; i < n; ++i) {
@@ -100,7 +102,7 @@ private:
         if (mass) accelerate(thread, mass);
         T *const position_quads = off_grid_.x.data(), *const damping_v = off_grid_.v.data();
         T *const velocity = velocity_.data(), *const previous_a = previous_acceleration_.data(),
-                 *const carry = compensation_.data();
+                 *const carry = compensation_.data(), *const velocity_carry = velocity_compensation_.data();
         const quad<T> body_acceleration{T(plan_.body_acceleration(0)), T(plan_.body_acceleration(1)),
                                         T(plan_.body_acceleration(2)), T(0)};
         const StepFactors<T> m = Evaluate ? evaluation<T> : motion_of<T>(run_, step);
@@ -112,7 +114,16 @@ private:
             const std::int64_t i = 4 * p;
             const quad<T> field = fma(drag, load4(damping_v + i), body_acceleration);
             const quad<T> a = mass ? load4(f + i) : fma(all(free[p]), field, all(inverse[p]) * load4(f + i));
-            const quad<T> v = fma(kick, a, load4(velocity + i));
+            quad<T> v, low_v{};
+            if constexpr (sizeof(T) == 8) {
+                v = fma(kick, a, load4(velocity + i));
+            } else {
+                // Kahan summation: constant accelerations would be rounded with one sign in each step.
+                const quad<T> v_old = load4(velocity + i), increment = fma(kick, a, load4(velocity_carry + i));
+                v = v_old + increment;
+                low_v = increment - (v - v_old);
+                store4(velocity_carry + i, low_v);
+            }
             store4(velocity + i, v);
             store4(damping_v + i, quad<T>(fma(predict, a, fma(predict_previous, load4(previous_a + i), v))));
             store4(previous_a + i, a);
@@ -121,7 +132,8 @@ private:
                 store4(position_quads + i, fma(drift, v, x));
             } else {
                 // Kahan summation: the compensation carries the rounding error of the position.
-                const quad<T> increment = fma(drift, v, load4(carry + i)), end = x + increment;
+                const quad<T> increment = fma(drift, v, quad<T>(fma(drift, low_v, load4(carry + i)))),
+                              end = x + increment;
                 store4(carry + i, quad<T>(increment - (end - x)));
                 store4(position_quads + i, end);
             }
@@ -185,7 +197,8 @@ private:
             put(off_grid_.x, narrowed<T>(end.x));
             put(velocity_, narrowed<T>(end.v));
             put(off_grid_.v, narrowed<T>(end.v));
-            if constexpr (sizeof(T) == 4) put(compensation_, {T(0), T(0), T(0)});
+            if constexpr (sizeof(T) == 4)
+                put(compensation_, {T(0), T(0), T(0)}), put(velocity_compensation_, {T(0), T(0), T(0)});
         }
     }
     void unload() {
@@ -193,9 +206,10 @@ private:
         for (int c = 0; c < 3; ++c)
             for (std::int64_t i = 0; i < n; ++i) {
                 const std::int64_t at = 4 * plan_.rank[i] + c, k = c * n + i;
-                const T carry = sizeof(T) == 4 ? compensation_[at] : T(0);
+                const T carry = sizeof(T) == 4 ? compensation_[at] : T(0),
+                        velocity_carry = sizeof(T) == 4 ? velocity_compensation_[at] : T(0);
                 if (run_.x) run_.x[k] = final_value<T>(run_.x0[k], off_grid_.origin[c], off_grid_.x[at], carry);
-                if (run_.v) run_.v[k] = final_value<T>(run_.v0[k], 0.0, velocity_[at], T(0));
+                if (run_.v) run_.v[k] = final_value<T>(run_.v0[k], 0.0, velocity_[at], velocity_carry);
             }
         if (run_.activity) {
             plan::HalfDifference difference(run_);
@@ -212,7 +226,7 @@ private:
     Plan& plan_;
     const Run& run_;
     OffGridForces<T> off_grid_;
-    Array<T>&velocity_, &previous_acceleration_, &compensation_, &middle_;
+    Array<T>&velocity_, &previous_acceleration_, &compensation_, &velocity_compensation_, &middle_;
     int threads_ = 1;
     std::vector<std::int64_t> borders_;
     std::vector<T> inverse_, free_;  ///< 1/m, and 1 for free particles

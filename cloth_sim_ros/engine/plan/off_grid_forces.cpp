@@ -279,7 +279,10 @@ void OffGridForces<T>::prescribe_row(int thread, std::int64_t row, std::int64_t 
         put(grid::position, x_);
         put(grid::velocity, v_);
         put(damping_velocity, v_);
-        if constexpr (sizeof(T) == 4) put(grid::low_position, narrowed<T>(end.x - to_double(x_)));
+        if constexpr (sizeof(T) == 4) {
+            put(grid::low_position, narrowed<T>(end.x - to_double(x_)));
+            put(grid::low_velocity, narrowed<T>(end.v - to_double(v_)));
+        }
     }
 }
 

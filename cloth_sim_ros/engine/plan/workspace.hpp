@@ -30,7 +30,7 @@ struct Partition {
 template <class T>
 struct Workspace {
     std::vector<Array<T>> state, force_rows, messages;
-    Array<T> quads[2], particle_arrays[3], middle_velocities, window, contact_masses;
+    Array<T> quads[2], particle_arrays[4], middle_velocities, window, contact_masses;
     /// By whether hinges are multirate, and by whether there are several threads.
     std::vector<Partition<T>> partitions[2][2];
     /// Predicted halves of the next hinge impulses over masses, alternating, and quarters of the last ones.

@@ -174,7 +174,8 @@ class PrecisionRule:
         return speed <= CONSTANTS.estimate_trust_factor * self.memory.speed
 
     def _mean(self, dv: Array, axis: int) -> float:
-        """Return the mass-weighted mean over particles of a component of velocity changes [m/s]."""
-        unit = np.zeros_like(dv)
-        unit[axis] = 1.0
-        return weighted_dot(self._plan.model.masses, dv, unit) / self._plan.model.mass
+        """Return the mass-weighted mean over free particles of a component of velocity changes [m/s]."""
+        model, unit = self._plan.model, np.zeros_like(dv)
+        unit[axis] = model.inverse_masses > 0.0
+        mass = weighted_dot(model.masses, unit, unit)
+        return weighted_dot(model.masses, dv, unit) / mass if mass else 0.0
