@@ -15,7 +15,7 @@
 
 namespace cloth::grid {
 
-using plan::final_value, plan::OffGridForces, plan::Run, plan::RunStatus;
+using plan::OffGridForces, plan::Run, plan::RunStatus;
 
 template <class T>
 class GridRun {
