@@ -145,8 +145,8 @@ class Controller:
             # Waves of contact may have any frequency, without damping.
             allowed = has_tolerance and not self._may_touch and self._stability.is_damped(duration)
             self._multirate = MultirateRule(plan, controller_state.MultirateState.load(state), allowed=allowed)
-            self._start_hinge_bounds = self._multirate.bounds
             self._ratio = self._choose_ratio(min(CONSTANTS.stability_safety * sheet_limit, duration))
+            self._start_hinge_bounds = self._multirate.bounds
         self._fallback_count = FallbackState.load(state).fallback_count if FallbackState.key in state.memory else 0.0
         limits = memory.max_step, self._fallback_count, contact_time, self.limit, self._ratio
         #: Work of explicit steps.
