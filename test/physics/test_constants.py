@@ -58,10 +58,11 @@ REASONS = {
         4.0: "estimates of a motion that begins: after 0, 1, 3 and 7 frames; later ones repeat the last",
     },
     "stability.py": {
-        6.0: "by the eigenvalues of the combinations (test_control_rules.py)",
-        0.125: "the same",
-        0.25: "the same",
-        0.75: "the same",
+        3.0: "phases drift apart by the third power of the frequency",
+        **dict.fromkeys(
+            (0.02, 0.2, 0.35, 0.45, 0.6, 0.75, 0.8, 4.0, 4.5, 6.0, 25.0),
+            "by the eigenvalues of the combinations (test_control_rules.py)",
+        ),
     },
     "sleep.py": {
         4.0: "roundings",

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from unittest import mock
 
 import attrs
 import numpy as np
@@ -12,16 +14,19 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State, simulate
+from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, finish_implicitly
 from cloth_sim_ros.physics.control.multirate import MAX_RATIO
-from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, UNDAMPED_LIMIT_FRACTIONS
+from cloth_sim_ros.physics.control.stability import LIMIT_FRACTIONS, MAX_UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts, weights
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.simulation.events import Grasp, Target
@@ -224,7 +229,7 @@ def test_undamped_wave_growth_of_short_combinations_is_bounded(columns: int) -> 
     for first in range(4, MAX_UNDAMPED_STEPS + 1):
         counts = step_counts(first, columns)
         for fraction in np.linspace(0.02, 1.0, 50):
-            phase = 2.0 * CONSTANTS.stability_safety * UNDAMPED_LIMIT_FRACTIONS[columns - 1] * fraction * first
+            phase = 2.0 * CONSTANTS.stability_safety * LIMIT_FRACTIONS[0.0][columns - 1] * fraction * first
             combination = np.zeros((2, 2))
             for weight, count in zip(weights(counts), counts, strict=True):
                 z = phase / count
@@ -232,6 +237,59 @@ def test_undamped_wave_growth_of_short_combinations_is_bounded(columns: int) -> 
                 combination += weight * np.linalg.matrix_power(step, count)
             growth = math.log(np.abs(np.linalg.eigvals(combination)).max()) / first
             assert growth < UNDAMPED_GROWTH, (first, fraction, growth)
+
+
+@pytest.mark.parametrize("columns", [2, 3, 4])
+def test_combinations_by_the_rule_amplify_no_damped_wave(columns: int) -> None:
+    """Check the eigenvalues of combinations over the rule's pieces, for waves of a sheet whose springs are alike."""
+    spring = PairSprings([[0, 1]], 1.0, 1.0, 1.0)
+    for damping_time in np.geomspace(1e-3, 1.0, 7):
+        stability = StabilityState(omega2=4.0, damping=4.0 * damping_time)
+        plan = SimpleNamespace(model=SimpleNamespace(forces=[spring]), min_damping_time=lambda _, c=damping_time: c)
+        rule = StabilityRule(plan, stability, np.zeros((3, 1)))  # type: ignore[arg-type]
+        max_step = CONSTANTS.stability_safety * rule.sheet_limit
+        for count in (4, 12, 40, 120):
+            length = count * max_step
+            # Units of time and stiffness are arbitrary; a frame is never divided because of its length.
+            with mock.patch.object(CONSTANTS, "max_interval", length):
+                steps = steps_for(length, max_step / rule.min_refinement(columns, length))
+                pieces = rule.n_pieces(columns, steps, length)
+            piece = length / pieces
+            counts = step_counts(math.ceil(steps / pieces), columns)
+            for omega2 in np.linspace(0.1, 2.0, 40) ** 2:
+                combination = sum(
+                    weight * damped_run(omega2, damping_time * omega2, piece, n)
+                    for weight, n in zip(weights(counts), counts, strict=True)
+                )
+                growth = math.log(np.abs(np.linalg.eigvals(combination)).max()) / counts[0]
+                assert growth < UNDAMPED_GROWTH, (damping_time, count, omega2)
+
+
+def damped_run(omega2: float, damping: float, length: float, n: int) -> np.ndarray:
+    """Return the matrix by which a run of n steps changes position and velocity of a damped wave."""
+    h, motion = length / n, np.zeros((4, 2))
+    # Rows: position, velocity, predicted velocity, acceleration of the step before.
+    motion[:2] = np.eye(2)
+    motion[3] = -omega2 * motion[0] - damping * motion[1]
+    motion[2], motion[0] = motion[1] + h / 2.0 * motion[3], motion[0] + h / 2.0 * motion[1]
+    for step in range(n):
+        acceleration = -omega2 * motion[0] - damping * motion[2]
+        motion[1] = motion[1] + h * acceleration
+        motion[2] = motion[1] + h / 4.0 * (acceleration + motion[3])
+        motion[3], motion[0] = acceleration, motion[0] + (h if step < n - 1 else h / 2.0) * motion[1]
+    return motion[:2]
+
+
+def test_soft_undamped_grip_does_not_shorten_steps() -> None:
+    stiffness, grips, path = 1e5, Grips(1), np.zeros((1, PATH_NUMBERS))
+    spring = PairSprings([[0, 1]], 1.0, stiffness, 2.0 * math.sqrt(stiffness))
+    plan, x = compile(Model([1.0, 1.0], [spring, grips], anchors=[0])), np.eye(3)[:, :2].copy()
+    path[0, 16] = 1.0
+    for fraction, is_shorter in ((0.01, False), (0.1, True)):
+        grip = np.array([fraction * stiffness]), np.zeros(1)
+        grips.set_grips(path, np.array([0, 1]), np.array([1]), np.zeros((1, 3)), *grip)
+        rule = StabilityRule(plan, StabilityState(), x)
+        assert (rule.min_refinement(3, 1.0 / 60.0) > 1.0) == is_shorter
 
 
 def test_changed_frame_length_causes_a_new_estimate() -> None:

@@ -28,6 +28,9 @@ class Constants:
     damped_wave_decay: float = _constant(
         2.0, "decay of the fastest waves over a frame above which they count as damped"
     )
+    long_piece_preference: float = _constant(
+        4.0, "factor on the steps of short pieces up to which a long one costs less, because pieces add their rounding"
+    )
     max_interval: float = _constant(0.04, "longest interval that is extrapolated at once [s]")
 
     # Error.

@@ -3,9 +3,9 @@
 """Stability rule: limit of the step by sheet and contact, refinement and pieces that combinations of runs require.
 
 The leapfrog's limit follows from bounds of stiffness and damping. Contact that is predicted, or that a run met, adds to
-them. A combination of runs has the same limit if damping
-removes fast waves within a piece. Without such damping, runs with different steps diverge too far over many steps. Then
-a piece has few steps, and the stability function of the combination shortens them (docs/step_control.md).
+them. A combination of runs has the same limit if damping removes waves within a piece before the runs' phases drift
+apart. With less damping steps are shorter. With hardly any, a piece has few steps, and the stability function of the
+combination shortens them (docs/step_control.md).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 
+from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIOS, ExtrapolationTableau, max_rates
@@ -25,11 +26,17 @@ from cloth_sim_ros.physics.state.state import State
 
 #: Maximum number of combined runs; one further run estimates their error.
 MAX_COMBINED_RUNS = len(RATIOS) - 1
-#: Maximum steps of an undamped piece, and fractions of the leapfrog's limit for combinations of 1 to 4 runs. With four
-#: to six steps no undamped wave grows by more than 1e-5 per step (eigenvalues of the stability function). In frames of
-#: fewer steps waves may grow by up to 3e-3 per step with three runs; there the error estimate detects them.
-MAX_UNDAMPED_STEPS = 6
-UNDAMPED_LIMIT_FRACTIONS = (1.0, 0.125, 0.75, 0.25)
+#: Maximum steps of a short piece. Fractions of the leapfrog's limit for combinations of 1 to 4 runs in short pieces, by
+#: the least decay of the fastest waves over four steps. With four to six steps no undamped wave grows by more than 1e-5
+#: per step (eigenvalues of the stability function). In frames of fewer steps waves may grow by up to 3e-3 per step with
+#: three runs; there the error estimate detects them.
+MAX_UNDAMPED_STEPS, _MIN_SHORT_STEPS = 6, 4
+LIMIT_FRACTIONS = {0.0: (1.0, 0.2, 0.75, 0.35), 0.02: (1.0, 0.45, 0.8, 0.6)}
+#: Decay of the fastest waves over a piece with which a combination of 1 to 4 of the longest runs is stable, and the
+#: number of steps above which it has to increase (eigenvalues as well).
+_STABLE_DECAYS, _MAX_STABLE_STEPS = (0.0, 4.5, 6.0, 6.0), 25.0
+#: Fraction of the sheet's squared frequency up to which undamped grips do no harm, because their waves hardly drift.
+_SOFT_GRIP_FRACTION = 0.02
 
 
 class StabilityRule:
@@ -56,31 +63,65 @@ class StabilityRule:
     @cached_property
     def _min_damping_time(self) -> float:
         # A frame asks several times, and grips change only between frames.
-        return self._plan.min_damping_time()
+        return self._plan.min_damping_time(_SOFT_GRIP_FRACTION * self.memory.omega2)
+
+    def _decay(self, length: float) -> float:
+        """Return the decay of the fastest waves within a time [s], their damping rate times it."""
+        memory = self.memory
+        # Waves of an undamped part persist, however much another part is damped.
+        rate = min(memory.damping, self._min_damping_time * memory.omega2) if self._damps_waves else 0.0
+        return math.inf if memory.omega2 == 0.0 else rate * length
 
     def is_damped(self, length: float) -> bool:
         """Return True if damping removes the fastest waves within a time [s]."""
-        memory = self.memory
-        # Waves of an undamped part persist, however much another part is damped.
-        rate = min(memory.damping, self._min_damping_time * memory.omega2)
-        return memory.omega2 == 0.0 or (rate * length >= CONSTANTS.damped_wave_decay and self._damps_waves)
+        return self._decay(length) >= CONSTANTS.damped_wave_decay
+
+    def _long_refinement(self, n_runs: int, length: float) -> float:
+        """Return the least refinement at which a combination of runs is stable in pieces of any number of steps.
+
+        Phases of two runs of n steps h drift apart by n h^3 w^3, and waves decay by w^2. So at the refinement r, waves
+        of all w are stable above a decay of the fastest that is proportional to (n r)^(2/3) / r^2.
+        """
+        piece = length / steps_for(length, CONSTANTS.max_interval)
+        decay = self._decay(piece)
+        if not decay:
+            return math.inf
+        excess = max(1.0, piece / (_MAX_STABLE_STEPS * CONSTANTS.stability_safety * self.sheet_limit))
+        ratio = _STABLE_DECAYS[n_runs - 1] / decay * root(excess * excess, 3)
+        return max(1.0, math.sqrt(ratio * math.sqrt(ratio)))
+
+    def _short_refinement(self, n_runs: int, length: float) -> float:
+        """Return the least refinement at which a combination of runs is stable in short pieces."""
+        max_step, refinement = CONSTANTS.stability_safety * self.sheet_limit, math.inf
+        for min_decay, fractions in LIMIT_FRACTIONS.items():
+            fraction = fractions[n_runs - 1]
+            if self._decay(min(length, _MIN_SHORT_STEPS * fraction * max_step)) >= min_decay:
+                refinement = 1.0 / fraction
+        return refinement
+
+    def _refinement(self, n_runs: int, length: float) -> tuple[float, bool]:
+        """Return the least refinement of a combination of runs over a length [s], and whether pieces are short."""
+        if n_runs == 1:
+            return 1.0, False
+        long, short = self._long_refinement(n_runs, length), self._short_refinement(n_runs, length)
+        is_short = long > CONSTANTS.long_piece_preference * short
+        return (short if is_short else long), is_short
 
     def min_refinement(self, n_runs: int, length: float) -> float:
         """Return the least refinement at which a combination of runs is stable over a length [s]; 1 for one run."""
-        return 1.0 if n_runs == 1 or self.is_damped(length) else 1.0 / UNDAMPED_LIMIT_FRACTIONS[n_runs - 1]
+        return self._refinement(n_runs, length)[0]
 
     def n_pieces(self, n_runs: int, steps: int, length: float) -> int:
-        """Return the number of pieces to divide a length [s] into: each short, and of few steps without damping.
+        """Return the number of pieces to divide a length [s] into: each short, and of few steps with little damping.
 
         Args:
             n_runs: number of combined runs.
             steps: steps of the first run over the length.
             length: to divide [s].
         """
-        n_pieces = 1 if length <= CONSTANTS.max_interval else steps_for(length, CONSTANTS.max_interval)
-        if n_runs == 1 or self.is_damped(length):
-            return n_pieces
-        return max(n_pieces, math.ceil(steps / MAX_UNDAMPED_STEPS))
+        n_pieces = steps_for(length, CONSTANTS.max_interval)
+        is_short = self._refinement(n_runs, length)[1]
+        return max(n_pieces, math.ceil(steps / MAX_UNDAMPED_STEPS)) if is_short else n_pieces
 
     @property
     def sheet_limit(self) -> float:

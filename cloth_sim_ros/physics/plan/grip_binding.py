@@ -191,10 +191,16 @@ class GripBinding(Uncopyable):
             self._known_grips = grasps, strongest, len(np.unique(particles)) < len(particles)
         return self._known_grips[1:]
 
-    def min_damping_time(self) -> float:
-        """Return the least ratio of damping to stiffness, c / k [s], of the grips; infinity if there are none."""
+    def min_damping_time(self, soft: float, inverse_masses: Array) -> float:
+        """Return the least ratio of damping to stiffness, c / k [s], of the grips; infinity if there are none.
+
+        Args:
+            soft: stiffness over mass [1/s^2] up to which a grip does not count.
+            inverse_masses: of the particles [1/kg], shape (n,).
+        """
         grasps = self.force.controls.grasps
-        return min_damping_time(grasps.stiffness, grasps.damping)
+        is_stiff = grasps.stiffness * inverse_masses[grasps.particles] > soft
+        return min_damping_time(grasps.stiffness[is_stiff], grasps.damping[is_stiff])
 
     def add_bounds(self, stiff: Array, damped: Array) -> None:
         """Add stiffness [N/m] and damping [N s/m] of grips to their particles' blocks (6, n), in place."""

@@ -143,10 +143,16 @@ class PlanQueries:
         displacement, evaluations = self._query_out
         return displacement, int(evaluations)
 
-    def min_damping_time(self) -> float:
-        """Return the least c / k [s] of springs, membranes and grips; 0 if one is undamped, infinity without any."""
+    def min_damping_time(self, soft: float = 0.0) -> float:
+        """Return the least c / k [s] of springs, membranes and grips; 0 if one is undamped, infinity without any.
+
+        Args:
+            soft: stiffness over mass [1/s^2] up to which a grip does not count.
+        """
         grips = self._grip_binding
-        return self._min_damping_time if grips is None else min(self._min_damping_time, grips.min_damping_time())
+        if grips is None:
+            return self._min_damping_time
+        return min(self._min_damping_time, grips.min_damping_time(soft, self.model.inverse_masses))
 
     def energies(
         self, t: float, x: Array, v: Array | None, memory: StateMemory = MISSING_MEMORY
