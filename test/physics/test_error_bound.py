@@ -329,6 +329,64 @@ def test_gripper_jump_between_estimates_is_within_tolerance(
     assert error <= tolerance
 
 
+@pytest.mark.parametrize("jump", [0.1, 0.2])
+def test_gripper_jump_in_implicit_steps_is_within_tolerance(jump: float) -> None:
+    from scipy.linalg import expm
+
+    # The implicit method integrates the time-dependent force by two points, which leaves an error of the velocity. A
+    # stiff pair beside it makes explicit steps too expensive, and its accelerations are rounding.
+    tolerance, rate, joint, stiffness, mass = 1e-3, 40, 0.25, 4.0, 1e-6
+    period, stiff, grips = 1.0 / rate, 1e18 * mass, Grips(1)
+    springs = PairSprings([[0, 1], [2, 3]], [0.0, 1.0], [joint, stiff], [0.0, (stiff * mass) ** 0.5])
+    plan = compile(Model([1.0, 1.0, 1.0, mass], [springs, grips], anchors=[0, 2]))
+    state = State(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+    path = np.zeros((1, PATH_NUMBERS))
+    path[0, 16] = 1.0
+    grips.set_grips(path, np.array([0, 1]), np.array([1]), np.zeros((1, 3)), np.array([stiffness]), np.zeros(1))
+    # State: the particle's position and velocity; 1, s, s^2, s^3 with the time s in the frame.
+    matrix = np.zeros((6, 6))
+    matrix[0, 1], matrix[1, 0] = 1.0, -joint - stiffness
+    matrix[[3, 4, 5], [2, 3, 4]] = 1.0, 2.0, 3.0
+    integrator, motion, target, error = make_integrator("auto", tolerance=tolerance, work=10.0), np.zeros(2), 0.0, 0.0
+    for frame in range(rate):
+        has_jump = frame >= 3 and frame % 2 == 1
+        cubic = jump / period**2 * np.array([3.0, -2.0 / period]) if has_jump else np.zeros(2)
+        path = path.copy()
+        path[0, 0], path[0, 1], path[0, [7, 10]] = frame * period, target, cubic
+        grips.set_paths(path)
+        advance = integrator.advance(plan, state, frame * period, period)
+        assert advance.integrator == "implicit"
+        assert not advance.flagged
+        matrix[1, 2:] = stiffness * np.array([target, 0.0, *cubic])
+        motion = (expm(period * matrix) @ [*motion, 1.0, 0.0, 0.0, 0.0])[:2]
+        target += jump if has_jump else 0.0
+        error = max(error, abs(state.x[0, 1] - motion[0]))
+    # A perturbation of an oscillator faster than 1 / s does not grow.
+    assert error <= tolerance
+
+
+@pytest.mark.parametrize(("stiffness", "tolerance"), [(10.0, 1e-5), (100.0, 1e-4)])
+def test_accelerated_grip_in_implicit_steps_is_within_tolerance(stiffness: float, tolerance: float) -> None:
+    # The particle keeps its distance from a gripper of constant acceleration. The derivatives of its motion above the
+    # second vanish, but the method's first stage is off, and forces by that change the velocity.
+    acceleration, rate, grips = 10.0, 40, Grips(1)
+    period, offset = 1.0 / rate, -acceleration / stiffness
+    plan, state = compile(Model([1.0], [grips])), State(np.array([[offset, 0.0, 0.0]]))
+    path = np.zeros((1, PATH_NUMBERS))
+    path[0, [7, 16]] = 0.5 * acceleration, 1.0
+    grips.set_grips(path, np.array([0, 1]), np.array([0]), np.zeros((1, 3)), np.array([stiffness]), np.zeros(1))
+    integrator, error = make_integrator("implicit", tolerance=tolerance), 0.0
+    for frame in range(rate):
+        t, end = frame * period, (frame + 1) * period
+        path = path.copy()
+        path[0, [0, 1, 4]] = t, 0.5 * acceleration * t * t, acceleration * t
+        grips.set_paths(path)
+        assert not integrator.advance(plan, state, t, period).flagged
+        error = max(error, abs(state.x[0, 0] - offset - 0.5 * acceleration * end * end))
+    # A perturbation of an oscillator faster than 1 / s does not grow.
+    assert error <= tolerance
+
+
 @pytest.mark.parametrize(
     ("rate", "stride", "travel", "friction", "swing", "speed", "joint", "slip", "tolerance", "growth"),
     [

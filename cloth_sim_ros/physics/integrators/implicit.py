@@ -24,8 +24,9 @@ class Implicit(Integrator):
     turned by a thousandth.
     The negative stiffness of compressed springs is omitted in the matrix, but not in the force.
 
-    The error estimate of a step is ``0.0404 h^2 |v2' - v1'| / (1 - gamma)``, the leading error of the method. The
-    stages' accelerations give its x'''. In-plane waves that the step does not resolve are damped.
+    The error estimate of a step has two parts (docs/derivations/implicit.md). One is the leading error of positions,
+    ``0.0404 h^2 |v2' - v1'| / (1 - gamma)``. The other is what the leading error of velocities displaces later.
+    In-plane waves that the step does not resolve are damped.
 
     Two to six force evaluations and factorisations per step. Any stiffness, any damping.
 

@@ -15,6 +15,7 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.contact.thickness import relative_growth
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, ToleranceMissedError, UnstableError
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import ParticleBlocks, iteration_cost, stage_matrix
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -29,6 +30,11 @@ GAMMA = 1.0 - math.sqrt(0.5)
 #: The error constant of the method: coefficient of z^3 in its stability function minus exp(z). With g = `GAMMA`,
 #: R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
 _ERROR_CONSTANT = abs(GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA)) - 1.0 / 6.0)
+#: Error constant of velocities where the force depends on time alone: quadrature at g h and h.
+_QUADRATURE_CONSTANT = 0.5 * (GAMMA * GAMMA * (1.0 - GAMMA) + GAMMA - 1.0 / 3.0)
+#: Fraction of the first stage's error over which forces are differenced: its square is negligible, and rounding of
+#: positions enters the velocities by 1e-13 m / h.
+_DIFFERENCE = 1e-3
 #: Safety margin of the predicted next correction, because the prediction has the right order of magnitude only.
 _PREDICTION_MARGIN = 0.1
 #: Fraction of a step's error budget at which its iteration ends.
@@ -96,7 +102,7 @@ class ImplicitAdvance:
         self._evaluations, self._is_strict = 0, is_strict
         #: Limit of force evaluations of an advance by safe steps, and the reserve for descents in its remaining steps.
         self._max_evaluations, self._reserve = max_evaluations, 0
-        self._work_limit = math.inf
+        self._work_limit = self._max_steps = math.inf
         if integrator.work and integrator.step is None:
             self._work_limit = integrator.work * duration * 1e9 / iteration_cost(plan.model)
         #: Time offset of obstacles while a descent computes velocities [s].
@@ -131,8 +137,9 @@ class ImplicitAdvance:
                 break
             factor = 2.0 if error is None else math.sqrt(error / (CONSTANTS.error_target_fraction * self._budget))
             next_steps = max(steps + 1, math.ceil(steps * min(factor, 2.0 * CONSTANTS.max_refinement_factor)))
-            next_evaluations = (self._evaluations - evaluations_before) / steps * next_steps
-            self._exhausted = self._evaluations + next_evaluations > self._work_limit
+            step_evaluations = max(1, self._evaluations - evaluations_before) / steps
+            self._max_steps = self._work_limit / step_evaluations
+            self._exhausted = self._evaluations + step_evaluations * next_steps > self._work_limit
             if self._exhausted and error is not None:
                 break
             state.restore(start)
@@ -180,8 +187,9 @@ class ImplicitAdvance:
             return steps
         target = CONSTANTS.error_target_fraction * self._budget
         required_steps = math.ceil(steps * math.sqrt(max(error, 1e-30) / target))
-        # A violent frame does not increase the number of steps of the next one, which may be quiet.
-        return max(1, steps // 2, min(required_steps, steps) if self._exhausted else required_steps)
+        # A frame too violent for any number of steps does not increase that of the next one, which may be quiet.
+        exceeds_work = self._exhausted and required_steps > self._max_steps
+        return max(1, steps // 2, min(required_steps, steps) if exceeds_work else required_steps)
 
     def _describe(self, h: float, steps: int) -> str:
         tolerance = self._integrator.tolerance
@@ -268,8 +276,46 @@ class ImplicitAdvance:
             self._plan.prescribe(t + h, end, end_v)
         if self._ccd_hits(t, h, end):
             return None
+        if self._budget < math.inf:
+            error += self._velocity_displacement(t + h, h, end, end_v, (guess, k1v, k2v))
         stages = ((t + d, h - d, middle, k1x), (t + h, d, end, k2x))
         return ImplicitStep(end, end_v, k2v, error, stages)
+
+    def _velocity_displacement(
+        self, t: float, h: float, x: Array, v: Array, rates: tuple[Array, Array, Array]
+    ) -> float:
+        """Return the displacement [m] that the velocity error of a step causes later (docs/derivations/implicit.md).
+
+        The matrix of the last iteration divides errors of stiff modes by 1 + d^2 w^2. Forces at the start of a frame
+        are noisy there, and the method damps these modes.
+
+        Args:
+            t: time at the end [s].
+            h: length of the step [s].
+            x: positions at its end [m].
+            v: velocities there [m/s].
+            rates: accelerations at the start, of the first and of the second stage [m/s^2].
+        """
+        plan, memory, d, (a0, a1, a2) = self._plan, self._state.memory, GAMMA * h, rates
+        jerk = (a2 - a1) / (h - d)
+        snap = 2.0 / h * (jerk - (a1 - a0) / d)
+        # The first stage is off by d^2 a2 / 2 in positions and d^2 jerk / 2 in velocities; forces carry this on.
+        scale = _DIFFERENCE * 0.5 * d * d
+        a, shifted = np.empty_like(x), np.empty_like(x)
+        plan.accelerations(t, x, v, a, memory)
+        plan.accelerations(t, x + scale * a2, v + scale * jerk, shifted, memory)
+        if not np.isfinite(shifted).all():
+            # Inside an obstacle.
+            shifted = a
+        errors = _QUADRATURE_CONSTANT * h * h * h * snap + (h - d) / _DIFFERENCE * (shifted - a)
+        # The rest of Newton's iteration.
+        errors -= d * (a - a2)
+        errors *= self._is_free
+        errors[:, self._prescribed] = 0.0
+        errors = plan.momenta(x, errors)
+        self._matrix.solve(errors)
+        displacement, _ = plan.velocity_displacement(t, x, errors, VELOCITY_ERROR_TIME)
+        return displacement
 
     def _descent_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
         """Return an implicit Euler step by descent, stable but inaccurate, the state unchanged; None if it intersects.
