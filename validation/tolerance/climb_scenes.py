@@ -185,15 +185,19 @@ def snapping(rng: np.random.Generator) -> Trial:
     """Evaluate a light truss of two springs that snaps through while a heavy particle, which pulls it, swings."""
     half, rise, mass = log_uniform(rng, 1e-6, 0.1), float(rng.uniform(0.1, 0.5)), log_uniform(rng, 1e-6, 1e-3)
     frequency, swing, heavy = log_uniform(rng, 100.0, 2e4), float(rng.uniform(0.5, 8.0)), log_uniform(rng, 0.03, 3.0)
-    amplitude, phase, sideways = log_uniform(rng, 0.01, 0.5), float(rng.uniform(-1.6, 1.6)), float(rng.uniform(0.0, 1.0))
+    amplitude, phase, sideways = (
+        log_uniform(rng, 0.01, 0.5),
+        float(rng.uniform(-1.6, 1.6)),
+        float(rng.uniform(0.0, 1.0)),
+    )
     height, rigidity = rise * half, mass * frequency**2 / 2.0
     # The truss carries about 0.4 k h^3 / a^2; the swing pulls by up to a few times that.
     pull = 0.4 * rigidity * rise**3 * half / amplitude * log_uniform(rng, 0.3, 4.0)
     lengths, speed = [math.hypot(half, height)] * 2 + [1.0, 1.0 + height], amplitude * swing
     stiffness = [rigidity, rigidity, heavy * swing**2, pull]
+    swinging = [0.0, 0.0, -1.0 + amplitude * math.cos(phase)]
     tables = {
-        "positions": [[-half, 0.0, 0.0], [half, 0.0, 0.0], [0.0, 0.0, height], [0.0, 0.0, -2.0]]
-        + [[0.0, 0.0, -1.0 + amplitude * math.cos(phase)]],
+        "positions": [[-half, 0.0, 0.0], [half, 0.0, 0.0], [0.0, 0.0, height], [0.0, 0.0, -2.0], swinging],
         "velocities": [[0.0, 0.0, 0.0]] * 4 + [[sideways * speed, 0.0, -speed * math.sin(phase)]],
         "masses": [1.0, 1.0, mass, 1.0, heavy],
         "springs": [[0, 2], [1, 2], [3, 4], [2, 4]],

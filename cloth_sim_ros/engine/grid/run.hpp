@@ -218,7 +218,7 @@ private:
                 const std::int64_t at = c * n + row * columns;
                 const T *const x = from + (position + c) * pitch_, *const v = from + (velocity + c) * pitch_;
                 const T *const low = from + ((sizeof(T) == 4 ? low_position : position) + c) * pitch_,
-                              *const low_v = from + ((sizeof(T) == 4 ? low_velocity : velocity) + c) * pitch_;
+                               *const low_v = from + ((sizeof(T) == 4 ? low_velocity : velocity) + c) * pitch_;
                 const double *const x0 = run_.x0 + at, *const v0 = run_.v0 + at;
                 for (std::int64_t j = 0; run_.x && j < columns; ++j)
                     run_.x[at + j] = final_position<T>(x0[j], off_grid_.origin[c], x[j], low[j]);
