@@ -28,7 +28,8 @@ class Implicit(Integrator):
     ``0.0404 h^2 |v2' - v1'| / (1 - gamma)``. The other is what the leading error of velocities displaces later.
     In-plane waves that the step does not resolve are damped.
 
-    Two to six force evaluations and factorisations per step. Any stiffness, any damping.
+    Two to six force evaluations and factorisations per step; `Advance.evaluations` counts these alone. The error of
+    velocities takes four to twelve force evaluations more. Any stiffness, any damping.
 
     Args:
         step: largest fixed step [s].
