@@ -44,9 +44,10 @@ template <class T>
 inline T low_part(double value, T high) {
     return static_cast<T>(value - static_cast<double>(high));
 }
-/// Position or velocity at the end of a run; in single precision the change is added to the initial one.
+/// Sum of both parts of a position or velocity at the end of a run; in single precision the change is added to the initial
+/// one.
 template <class T>
-inline double final_position(double initial, double origin, T high, T low) {
+inline double final_sum(double initial, double origin, T high, T low) {
     if constexpr (sizeof(T) == 8) return high;
     const T high0 = static_cast<T>(initial - origin), low0 = low_part(initial - origin, high0);
     return initial + ((static_cast<double>(high) - static_cast<double>(high0)) +

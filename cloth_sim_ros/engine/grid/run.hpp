@@ -221,9 +221,9 @@ private:
                                *const low_v = from + ((sizeof(T) == 4 ? low_velocity : velocity) + c) * pitch_;
                 const double *const x0 = run_.x0 + at, *const v0 = run_.v0 + at;
                 for (std::int64_t j = 0; run_.x && j < columns; ++j)
-                    run_.x[at + j] = final_position<T>(x0[j], off_grid_.origin[c], x[j], low[j]);
+                    run_.x[at + j] = final_sum<T>(x0[j], off_grid_.origin[c], x[j], low[j]);
                 for (std::int64_t j = 0; run_.v && j < columns; ++j)
-                    run_.v[at + j] = final_position<T>(v0[j], 0.0, v[j], low_v[j]);
+                    run_.v[at + j] = final_sum<T>(v0[j], 0.0, v[j], low_v[j]);
             }
             for (std::int64_t j = 0; run_.activity && j < columns; ++j)
                 if (!off_grid_.has_prescribed() || plan_.free_inverse[row * columns + j] > 0.0)
