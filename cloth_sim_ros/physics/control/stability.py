@@ -52,6 +52,7 @@ class StabilityRule:
         self._plan, self.memory = plan, memory
         #: Estimated time that possible contacts add to a force evaluation, by the last prediction [ns].
         self.contact_time = 0.0
+        self._refinements: dict[tuple[int, float, float, float], tuple[float, bool]] = {}
         if memory.omega2 < 0.0:
             memory.omega2, memory.damping = plan.spectral_bounds(x)
 
@@ -103,9 +104,13 @@ class StabilityRule:
         """Return the least refinement of a combination of runs over a length [s], and whether pieces are short."""
         if n_runs == 1:
             return 1.0, False
-        long, short = self._long_refinement(n_runs, length), self._short_refinement(n_runs, length)
-        is_short = long > CONSTANTS.long_piece_preference * short
-        return (short if is_short else long), is_short
+        # An error estimate asks for each number of runs several times.
+        key = n_runs, length, self.memory.omega2, self.memory.damping
+        if key not in self._refinements:
+            long, short = self._long_refinement(n_runs, length), self._short_refinement(n_runs, length)
+            is_short = long > CONSTANTS.long_piece_preference * short
+            self._refinements[key] = (short if is_short else long), is_short
+        return self._refinements[key]
 
     def min_refinement(self, n_runs: int, length: float) -> float:
         """Return the least refinement at which a combination of runs is stable over a length [s]; 1 for one run."""
