@@ -31,7 +31,7 @@ from validation.tolerance.random_scenes import (
     log_uniform,
     smooth_field,
 )
-from validation.tolerance.windows import SceneEvaluation, Window
+from validation.tolerance.windows import EXPLAINED_FRACTION, SceneEvaluation, Window
 
 KINDS = ("table", "sphere", "edge", "itself")
 #: Coefficients of friction: none, and one that prevents sliding everywhere.
@@ -267,7 +267,7 @@ def evaluate_contact_window(
     amplification = _amplification(frames, check, fields, size, rough)
     error = max(largest_distance(frame.after.x, x) for frame, x in zip(frames, exact, strict=True))
     later_amplification = 0.0
-    if error > tolerance * max(1.0, amplification):
+    if error > EXPLAINED_FRACTION * tolerance * max(1.0, amplification):
         fields += [rng.normal(size=initial_positions.shape) for _ in range(_FURTHER_FIELDS)]
         for part in range(_PARTS):
             later_frames = frames[part * second // _PARTS :]

@@ -180,8 +180,9 @@ MAX_REFERENCE_DIFFERENCE = 0.02
 MIN_LOCAL_ERROR = 1e-13
 #: Largest amplification of the whole run: beyond it a perturbation is not meaningful.
 MAX_AMPLIFICATION = 1e6
-#: Parts of a window. Perturbations also start at their borders if those at the window's start do not explain its error.
-_PARTS = 8
+#: Parts of a window. Perturbations also start at their borders if the error exceeds this fraction of the bound by those
+#: at the window's start. A climb would stop just below 1 if it were 1.
+_PARTS, EXPLAINED_FRACTION = 8, 0.5
 #: Amplification below which flagged windows count.
 CALM_AMPLIFICATION = 1e3
 #: Largest number of steps of the reference in a frame: a constant, and a number per radian of the highest frequency at
@@ -385,7 +386,7 @@ def evaluate_window(run: RecordedRun, first: int, frames: int, *, seed: int) -> 
         if window.reference_error <= MAX_REFERENCE_DIFFERENCE * window.error_bound or local_error <= min_local:
             break
         local_error = max(0.01 * local_error, min_local)
-    if window.ratio > 1.0:
+    if window.ratio > EXPLAINED_FRACTION:
         amplifications = (
             _later_amplification(run, first, second, part, seed, local_error) for part in range(1, _PARTS)
         )
