@@ -70,10 +70,10 @@ def test_error_of_another_number_of_runs_is_estimated_again() -> None:
     frame.runs, frame.errors, frame.changes = ((6, 8, 10), 0.01), [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3
     frame.error = frame.predicted_error = 1e-9
     frame.activity = 1.0
-    rule.record_estimate(frame, 3, 3, 1.0)
+    rule.record_estimate(frame, 3, 3, 1.0, is_raised=False)
     assert rule.memory.time_until_estimate > 0.0
     # That of a single run may have been small by chance.
-    rule.record_estimate(frame, 3, 1, 1.0)
+    rule.record_estimate(frame, 3, 1, 1.0, is_raised=False)
     assert rule.memory.time_until_estimate == 0.0
 
 

@@ -890,13 +890,14 @@ class Controller:
     def _record_estimate(self, target: float) -> None:
         """Record the error estimates of a frame, and choose runs and refinement of the next for a target [m]."""
         frame, refinement, choice = self._frame, self._applied_refinement, (self._stability, self._duration)
+        is_raised = self._error.raise_accidental_error(frame, self.n_runs)
         # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
         next_runs, next_refinement = self._error.choose_runs(
             frame.errors, refinement, target, *choice, rounding_fraction=frame.n_pieces, present_runs=self.n_runs
         )
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
-        self._error.record_estimate(frame, self.n_runs, next_runs, next_refinement)
+        self._error.record_estimate(frame, self.n_runs, next_runs, next_refinement, is_raised=is_raised)
 
     def store_bounds(self) -> None:
         """Store only the spectral bounds in the state's memory; their key must stay, see `reset_step_control`."""

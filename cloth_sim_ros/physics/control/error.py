@@ -271,7 +271,30 @@ class ErrorRule:
         estimated_fraction = min(1.0, self.memory.duration / CONSTANTS.max_estimate_period)
         return refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] * estimated_fraction)
 
-    def record_estimate(self, frame: FrameTotals, n_runs: int, next_runs: int, next_refinement: float) -> None:
+    def raise_accidental_error(self, frame: FrameTotals, n_runs: int) -> bool:
+        """Raise the error of a frame's single runs if it is small by chance; return true if it was raised.
+
+        The phases of waves decide the error of a single run, so it may vary tenfold from frame to frame. At most it
+        falls by half between two estimates, besides what shorter steps and a lower activity explain.
+
+        Args:
+            frame: totals of its pieces; its `errors` may change.
+            n_runs: number of combined runs.
+        """
+        memory, (counts, length) = self.memory, frame.runs
+        if not (n_runs == memory.n_runs == 1 and memory.coefficient and memory.activity):
+            return False
+        coefficient_ratio = coefficient_of(counts[:1], length) / memory.coefficient
+        activity_ratio = min(1.0, frame.activity / memory.activity)
+        least = 0.5 * memory.error * coefficient_ratio * power(activity_ratio, _ACTIVITY_EXPONENT)
+        is_raised = frame.errors[0] < least
+        if is_raised:
+            frame.errors = [least, *frame.errors[1:]]
+        return is_raised
+
+    def record_estimate(
+        self, frame: FrameTotals, n_runs: int, next_runs: int, next_refinement: float, *, is_raised: bool
+    ) -> None:
         """Record an accepted frame's error estimates in `memory`, and set the time until the next estimate.
 
         Args:
@@ -279,6 +302,7 @@ class ErrorRule:
             n_runs: number of combined runs.
             next_runs: number of combined runs of the next frame.
             next_refinement: their refinement.
+            is_raised: True if `raise_accidental_error` raised the error.
         """
         memory, errors, error, (counts, length) = self.memory, frame.errors, frame.error, frame.runs
         prediction_ratio = error / frame.predicted_error if frame.predicted_error > 0.0 else math.inf
@@ -298,7 +322,10 @@ class ErrorRule:
         is_confirmed = is_predicted and prediction_ratio <= CONSTANTS.estimate_trust_factor
         # The error of another combination may be small by chance: it changes its sign at times.
         is_same = next_runs == n_runs
-        is_trusted = is_same and (is_far_below or is_confirmed or error <= self.rounding_floor(n_runs))
+        # Longer steps may follow from an error that was small by chance.
+        is_risky = is_raised and next_refinement > 1.0
+        is_expected = is_far_below or is_confirmed or error <= self.rounding_floor(n_runs)
+        is_trusted = is_same and is_expected and not is_risky
         known_ratio = min(prediction_ratio, 1e3) if is_predicted else 1.0
         memory.safety_factor = 1.0 if is_far_below else max(1.0, 0.5 * memory.safety_factor, known_ratio)
         self.set_period(
