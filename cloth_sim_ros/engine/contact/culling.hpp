@@ -52,7 +52,7 @@ struct BoundingBall {
         if (!finite || properties.shape == Shape::plane || contacts.jaw_of(obstacle)) return false;
         const double* const path = contacts.path(obstacle);
         const Vec3<double> start{path[1], path[2], path[3]};
-        const double length = max_path_motion(path, absolute(t - path[0])).length;
+        const double length = max_path_motion(path, 0.0, absolute(t - path[0])).length;
         return root(norm2(center - start)) - radius - properties.radius - length > 1.001 * distance;
     }
     double rounding_margin(const PosedObstacle<double>& posed) const {
@@ -93,7 +93,7 @@ private:
 /// repeated with all obstacles.
 class ObstacleCulling {
 public:
-    ObstacleCulling(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
+    ObstacleCulling(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
         Contacts& contacts = plan.contacts;
         contacts.active.clear();
         contacts.may_skip_blocks = true;
@@ -105,7 +105,8 @@ public:
         for (std::int64_t k = 0; k < contacts.count(); ++k) {
             if (!contacts.present(k)) continue;
             const double* const path = contacts.path(k);
-            const auto [path_length, path_angle] = max_path_motion(path, duration);
+            // From the path's start, because no pose at time t is computed.
+            const auto [path_length, path_angle] = max_path_motion(path, 0.0, t - path[0] + duration);
             const Obstacle& obstacle = contacts.obstacles[k];
             double distance;
             if (obstacle.shape == Shape::plane) {

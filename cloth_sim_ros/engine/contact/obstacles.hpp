@@ -129,15 +129,17 @@ struct Contacts {
     }
 };
 
-/// Upper bounds of the distance [m] and of the angle [rad] that an obstacle covers on its path in a duration [s].
+/// Upper bounds of the distance [m] and of the angle [rad] that an obstacle covers on its path between two times [s]
+/// after the path's start.
 struct PathMotion {
     double length = 0.0, angle = 0.0;
 };
-inline PathMotion max_path_motion(const double* path, double duration) {
+inline PathMotion max_path_motion(const double* path, double begin, double end) {
     PathMotion motion;
-    double power = 1.0;
+    double begin_power = 1.0, end_power = 1.0;
     for (int order = 0; order < 3; ++order) {
-        power *= duration;
+        begin_power *= begin, end_power *= end;
+        const double power = end_power - begin_power;
         const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
         motion.length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
         motion.angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));

@@ -717,7 +717,7 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
         const Features& features = contact.obstacles[k];
         if (!contact.has(contacts, k)) continue;
         const double* const path = contacts.path(k);
-        auto [path_length, path_angle] = max_path_motion(path, duration);
+        auto [path_length, path_angle] = max_path_motion(path, t - path[0], t - path[0] + duration);
         const Pose pose = contacts.obstacle_pose(k, t);
         // Jaws rotate about their gripper. The cloth may push them back faster than they are driven.
         const double lever = root(norm2(pose.position - pose_at(path, t).position));

@@ -131,7 +131,7 @@ inline void prescribe_end(const Plan& plan, const FrameRequest& frame, const Run
 class FrameCulling {
 public:
     FrameCulling(Plan& plan, const FrameRequest& frame)
-        : plan_(plan), obstacles_(plan, frame.duration, frame.x0, frame.v0),
+        : plan_(plan), obstacles_(plan, frame.t, frame.duration, frame.x0, frame.v0),
           self_(plan, frame.duration, frame.x0, frame.v0),
           features_(plan, frame.t, frame.duration, frame.x0, frame.v0) {}
     /// Whether a run violates the assumptions. `is_next_start`: whether the next frame starts at its end.
