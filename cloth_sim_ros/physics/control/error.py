@@ -310,6 +310,10 @@ class ErrorRule:
         is_far_below = error <= CONSTANTS.low_error_fraction * self.budget
         memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, frame.activity
         memory.jerk_change, memory.grip_jerk_change = frame.jerk_change, frame.grip_jerk_change
+        # A path without effect must not hide another: a change of jerk is known as far as it is in the estimate.
+        known_error = CONSTANTS.estimate_trust_factor * errors[max(next_runs - 2, 0)]
+        known_jerk_change = known_error / (displacement_by_jerk(1.0, counts[0]) * length * memory.duration)
+        memory.grip_jerk_change = min(memory.grip_jerk_change, known_jerk_change)
         memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs))
         memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:
@@ -332,7 +336,9 @@ class ErrorRule:
             CONSTANTS.max_estimate_period * (4.0 if is_far_below and next_refinement == 1.0 else 1.0),
             2.0 * memory.estimate_period if is_trusted else 0.0,
         )
-        if not is_same:
+        # A vibration may begin at phases at which a single run errs little.
+        is_unconfirmed = next_runs == 1 and not (is_predicted or is_far_below)
+        if is_unconfirmed or not is_same:
             memory.time_until_estimate = 0.0
 
     def set_period(self, max_period: float, period: float) -> None:
