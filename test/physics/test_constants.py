@@ -27,11 +27,14 @@ REASONS = {
         1e3: "a prediction that is off by more causes an estimate at any margin",
         1e-6: "two lengths of frames that differ by rounding",
     },
+    "changes.py": {
+        4.0: "a jump of a force misses a quarter of a step at most",
+        24.0: "error of the leapfrog by a change of jerk",
+    },
     "controller.py": {
         1e-6: "two lengths of frames that differ by rounding",
         1.5: "between the length of a stretch and its double",
         3.0: "order of a missed jump's error",
-        4.0: "a jump of a force misses a quarter of a step at most",
         9.0: "evaluations of a displacement: the first one and eight Lanczos steps",
         24.0: "halvings down to a nanosecond",
         64.0: "a cap divided by 2^64 is none",

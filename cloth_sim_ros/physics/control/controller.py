@@ -23,11 +23,9 @@ from __future__ import annotations
 import math
 from functools import cached_property, partial
 
-import numpy as np
-
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
+from cloth_sim_ros.physics.control.changes import ChangeRule
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, measure_external_work
@@ -47,11 +45,11 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     step_counts,
 )
 from cloth_sim_ros.physics.integrators.limit import steps_for
-from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
-    ContactState,
+    ChangeState,
     EnergyState,
     ErrorState,
     FallbackState,
@@ -67,11 +65,11 @@ _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_allowed _applied_refinement _attempts _before _known_contact _duration _elapsed _ends _error "
-    "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_jump "
-    "_may_kink _may_slide _may_touch _may_turn _met_limit _multirate _multirate_refinement _piece _plan _precision "
-    "_prediction _ratio _rejected_attempt _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 "
-    "abandoned budget estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
+    "_allowed _applied_refinement _attempts _before _duration _elapsed _ends _error _estimate _fallback_count _frame "
+    "_halved_step _has_tolerance _is_rough _last_refinement _may_slide _may_touch _may_turn _met_limit _multirate "
+    "_multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt _stability _start_bounds "
+    "_start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error exhausted in_fallback limit "
+    "n_runs options refinement rejected work __dict__"
 )
 
 
@@ -102,8 +100,6 @@ class Controller:
         self.in_fallback = self.exhausted = False
         #: True if a spring may turn over within the present piece.
         self._may_turn = False
-        #: True if friction may jump within the present piece, or contact begin or end, beyond its error budget.
-        self._may_jump = self._may_kink = False
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
@@ -123,8 +119,6 @@ class Controller:
         tolerance = math.inf if options.tolerance is None else options.tolerance
         self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
         self._error = ErrorRule(error, self.budget, options.n_runs, state)
-        #: Contact, or jerk by multirate hinges, in the last frame with an estimate.
-        self._known_contact = ContactState.load(state)
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
@@ -161,6 +155,11 @@ class Controller:
     def _energy(self) -> EnergyRule:
         """Energy rule, created at first access, because most frames do not need it."""
         return EnergyRule(self._plan, EnergyState.load(self._state), self._last_refinement)
+
+    @cached_property
+    def _changes(self) -> ChangeRule:
+        """Change rule, created at first access, because many frames have neither contact nor an error estimate."""
+        return ChangeRule(self._plan, ChangeState.load(self._state), self.work, may_touch=self._may_touch)
 
     @cached_property
     def _has_external_work(self) -> bool:
@@ -451,12 +450,6 @@ class Controller:
         rates = self._stability.memory.omega2, self._stability.memory.damping
         path = (tableau.t, piece.length, rates, VELOCITY_ERROR_TIME)
         grip_jerk_change = self._plan.grip_jerk_change(*path) if self._plan.gripper_count > 0 else 0.0
-        self._may_jump, vibrates, vibration = False, False, 0.0
-        self._may_kink, is_other_jerk, jerk_change = False, False, 0.0
-        if self._may_touch and not self.in_fallback:
-            self._may_jump, vibrates, vibration = self._check_friction(tableau, piece)
-        if (self._may_touch or piece.ratio > 1) and not self.in_fallback:
-            is_other_jerk, jerk_change = self._check_jerk(tableau, piece)
         error, lower_order_error = self._error.predict(
             tableau.counts[:n_runs],
             piece.length,
@@ -465,70 +458,15 @@ class Controller:
             tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
             grip_jerk_change,
         )
-        _, contact_energy, _ = tableau.contact_summary(n_runs)
-        is_harder = contact_energy > CONSTANTS.estimate_trust_factor * self._known_contact.contact_energy
-        if self._may_jump or vibrates or is_other_jerk or is_harder:
-            error = math.inf
+        is_changed, contents = False, None
+        if self._plan.contact is not None or piece.ratio > 1:
+            target = self._error.target(piece.length)
+            is_changed, contents = self._changes.compare(tableau, piece, n_runs, target, energy_alone=self.in_fallback)
         has_kinks = self._plan.plastic is not None and not (self.estimates_error or self.in_fallback)
-        if has_kinks and tableau.kink_displacement(n_runs) > self._error.target(piece.length):
+        if is_changed or (has_kinks and tableau.kink_displacement(n_runs) > self._error.target(piece.length)):
             error = math.inf
-        causes = summary.activity, contact_energy, grip_jerk_change, vibration, jerk_change
-        self._prediction = ErrorPrediction(error, lower_order_error, *causes)
+        self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, grip_jerk_change, contents)
         return math.inf if self.estimates_error else error
-
-    def _check_friction(self, tableau: ExtrapolationTableau, piece: Piece) -> tuple[bool, bool, float]:
-        """Return if friction that reverses, and stuck particles that vibrate, displace by more than the target error.
-
-        No step meets the time of a jump. So a force per mass that jumps by a causes a velocity error of up to a h/4. A
-        vibration that the last estimate contained does not count: its error is then predicted.
-
-        Returns:
-            The two answers, and the largest velocity of a stuck particle that vibrates [m/s].
-        """
-        changes = tableau.friction_change(self.n_runs)
-        if changes is None:
-            return False, False, 0.0
-        change, velocities = changes
-        vibration = largest_distance(velocities, np.zeros_like(velocities))
-        is_new = vibration > CONSTANTS.estimate_trust_factor * self._known_contact.vibration
-        jumps = self._displaces(tableau, piece, change * (piece.step / 4.0))
-        return jumps, is_new and self._displaces(tableau, piece, velocities), vibration
-
-    def _check_jerk(self, tableau: ExtrapolationTableau, piece: Piece) -> tuple[bool, float]:
-        """Return if new jerk by contact or multirate hinges displaces by more than the target error, and the largest.
-
-        Activity and contact energy of another particle hide it. A run errs by h^2/24 times the change of jerk. If a
-        contact begins or ends within half a step of the piece's ends, all runs miss it by up to as much. Multirate
-        hinges err by the square of the interval between their impulses.
-        """
-        if piece.ratio > 1:
-            change, interval = self._plan.hinge_jerk(*tableau.combine(self.n_runs)), piece.ratio * piece.step
-        else:
-            contact_change, interval = tableau.contact_jerk_change(self.n_runs), piece.step
-            if contact_change is None:
-                return False, 0.0
-            change = contact_change
-        largest = largest_distance(change, np.zeros_like(change))
-        is_new = largest > CONSTANTS.estimate_trust_factor * self._known_contact.jerk_change
-        if piece.ratio > 1 and not is_new:
-            return False, largest
-        # Contact may begin or end within half a step whether it is new or not.
-        displaces = self._displaces(tableau, piece, change * (interval * interval / 24.0))
-        self._may_kink = displaces and piece.ratio == 1
-        return displaces and is_new, largest
-
-    def _displaces(self, tableau: ExtrapolationTableau, piece: Piece, velocities: Array) -> bool:
-        """Return True if errors of velocities [m/s] displace by more than a piece's target error.
-
-        Springs hold a particle that turns alone.
-        """
-        target = self._error.target(piece.length)
-        if VELOCITY_ERROR_TIME * largest_distance(velocities, np.zeros_like(velocities)) <= target:
-            return False
-        end, x = tableau.t + piece.length, tableau.combine(self.n_runs)[0]
-        displacement, evaluations = self._plan.velocity_displacement(end, x, velocities, VELOCITY_ERROR_TIME)
-        self.work.add(evaluations)
-        return displacement > target
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
         """Return the error of a piece [m] by further runs, whose work counts; set `n_runs` to one that suffices.
@@ -544,7 +482,7 @@ class Controller:
         Returns:
             The error; infinite if single precision does not resolve that of further runs, which may suffice.
         """
-        estimate = self._estimate = ErrorEstimate(self._is_rough, jumps=self._may_jump)
+        estimate = self._estimate = ErrorEstimate(self._is_rough, jumps=self._changes.may_jump)
         errors = estimate.errors
         if not self.estimates_error:
             self.estimates_error = True
@@ -576,7 +514,7 @@ class Controller:
                 estimate.replace(n_runs, measure(n_runs))
                 estimate.confirm(floor, measure)
             self.n_runs = n_runs
-        if self._is_rough or self._may_jump or self._may_kink:
+        if self._is_rough or self._changes.may_jump or self._changes.may_kink:
             estimate.end_error = self._estimate_ends(tableau, t, piece)
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
@@ -602,7 +540,7 @@ class Controller:
         The error of a single run does not follow its order in a few steps, or where friction may jump. So its estimate
         may be small by chance. A second one confirms it.
         """
-        is_ordered = counts[0] >= CONSTANTS.min_ordered_steps and not self._may_jump
+        is_ordered = counts[0] >= CONSTANTS.min_ordered_steps and not self._changes.may_jump
         is_confirmed = self.n_runs == 1 and not is_ordered and not self.in_fallback
         return min(self.n_runs + is_confirmed, self.options.n_runs)
 
@@ -882,8 +820,8 @@ class Controller:
             self._multirate.memory.ratio = float(self._multirate.ratio)
             self._multirate.memory.store(state)
         if self._plan.contact is not None or frame.max_ratio > 1:
-            estimated = ContactState(frame.contact_energy, frame.vibration, frame.contact_jerk_change)
-            (estimated if self.estimates_error else self._known_contact).store(state)
+            contents = frame.contents if self.estimates_error else None
+            (contents or self._changes.known).store(state)
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
 

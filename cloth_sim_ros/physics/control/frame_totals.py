@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
+from cloth_sim_ros.physics.state.controller_state import ChangeState
 
 
 class Piece(NamedTuple):
@@ -32,24 +33,21 @@ class Piece(NamedTuple):
 
 
 class ErrorPrediction(NamedTuple):
-    """Predicted errors of a piece [m], and the activity and contact energy that the prediction used."""
+    """Predicted errors of a piece [m], and the causes that the prediction used."""
 
     #: Errors of the combination and of one run less [m]; infinite if they are unknown.
     error: float = 0.0
     lower_order_error: float = 0.0
-    #: Activity [m/s], see `runs.activity_of`, and largest contact energy per mass, in U^2/2.
+    #: Activity [m/s], see `runs.activity_of`.
     activity: float = 0.0
-    contact_energy: float = 0.0
     #: Change of jerk by grippers' paths, see `GripBinding.jerk_change` [m/s].
     grip_jerk_change: float = 0.0
-    #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
-    vibration: float = 0.0
-    #: Largest change of a particle's jerk by contact, or by multirate hinges [m/s^3].
-    contact_jerk_change: float = 0.0
+    #: Contact, friction and multirate hinges; None without contact and multirate hinges.
+    contents: ChangeState | None = None
 
 
 class FrameTotals:
-    """Totals over the accepted pieces of a frame: steps, errors, contact energy and error estimates."""
+    """Totals over the accepted pieces of a frame: steps, errors, contact and error estimates."""
 
     #: Numbers of pieces and of steps of the result, smallest step and time with refined steps [s].
     n_pieces, steps, min_step, refined_time = 0, 0, math.inf, 0.0
@@ -57,10 +55,8 @@ class FrameTotals:
     max_ratio, single_precision = 1, False
     #: Sums of errors and of errors of one run less [m], and true if a piece missed its budget.
     error, lower_order_error, has_missed = 0.0, 0.0, False
-    #: Largest contact energy per mass, in U^2/2, and largest velocity of a stuck particle that vibrates [m/s].
-    contact_energy, vibration = 0.0, 0.0
-    #: Largest change of a particle's jerk by contact, or by multirate hinges [m/s^3].
-    contact_jerk_change = 0.0
+    #: Contact, friction and multirate hinges of the pieces; None without contact and multirate hinges.
+    contents: ChangeState | None = None
     #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
     longest_step, longest_runs = 0.0, 1
     #: Sum of predicted errors [m]; largest activity and change of jerk of a piece [m/s]; largest change of jerk by
@@ -86,9 +82,10 @@ class FrameTotals:
         self.single_precision = tableau.single_precision
         self.error += error
         self.lower_order_error += prediction.lower_order_error
-        self.contact_energy = max(self.contact_energy, prediction.contact_energy)
-        self.vibration = max(self.vibration, prediction.vibration)
-        self.contact_jerk_change = max(self.contact_jerk_change, prediction.contact_jerk_change)
+        if self.contents is None:
+            self.contents = prediction.contents
+        elif prediction.contents is not None:
+            self.contents.include(prediction.contents)
 
     def add_estimate(
         self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: Sequence[float], refinement: float

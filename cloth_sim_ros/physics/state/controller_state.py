@@ -147,8 +147,8 @@ class ErrorState(ControllerState):
 
 
 @attrs.define
-class ContactState(ControllerState):
-    """State of contact and multirate hinges in step control: what the last frame with an error estimate contained."""
+class ChangeState(ControllerState):
+    """State of `ChangeRule`: contact, friction and hinges that the last frame with an error estimate contained."""
 
     key = "control.contact"
 
@@ -158,6 +158,12 @@ class ContactState(ControllerState):
     vibration: float = bounded_number(0.0, minimum=0.0, is_later=True)
     #: Largest change of a particle's jerk by contact, or by multirate hinges [m/s^3].
     jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
+
+    def include(self, further: ChangeState) -> None:
+        """Raise the numbers to those of a further state that are larger."""
+        self.contact_energy = max(self.contact_energy, further.contact_energy)
+        self.vibration = max(self.vibration, further.vibration)
+        self.jerk_change = max(self.jerk_change, further.jerk_change)
 
 
 @attrs.define
@@ -293,7 +299,7 @@ STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
     MultirateState,
     ErrorState,
-    ContactState,
+    ChangeState,
     PrecisionState,
     RoundingNoiseState,
     EnergyState,

@@ -1,0 +1,119 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Change rule: contact, friction and hinges that the last error estimate did not contain.
+
+Activity and differences of runs, by which errors are predicted, do not show them. Their errors are estimated from the
+motion of a piece. If they displace by more than its target error, the piece needs an estimate. Derivation:
+docs/derivations/changes.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.control.frame_totals import Piece
+from cloth_sim_ros.physics.control.work_budget import WorkBudget
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, ExtrapolationTableau
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import ChangeState
+
+
+class ChangeRule:
+    """Rule that compares contact, friction and hinges in a piece with those in the last error estimate.
+
+    Args:
+        plan: equations of motion.
+        known: state of the rule.
+        work: counts the evaluations of displacements.
+        may_touch: True if contact is possible within the advance.
+    """
+
+    def __init__(self, plan: Plan, known: ChangeState, work: WorkBudget, *, may_touch: bool) -> None:
+        self._plan, self.known, self._work, self._may_touch = plan, known, work, may_touch
+        #: True if friction may jump within the last piece, or contact begin or end, beyond the piece's target error.
+        self.may_jump = self.may_kink = False
+
+    def compare(
+        self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float, *, energy_alone: bool
+    ) -> tuple[bool, ChangeState]:
+        """Return True if a piece contains what may displace by more than its target error, and what it contains.
+
+        Args:
+            tableau: runs of the piece.
+            piece: the piece.
+            n_runs: number of combined runs.
+            target: target error of the piece [m].
+            energy_alone: True if contact energy alone counts.
+        """
+        is_changed, present, known = False, ChangeState(), self.known
+        self.may_jump = self.may_kink = False
+        if not energy_alone:
+            if self._may_touch:
+                is_changed, present.vibration = self._compare_friction(tableau, piece, n_runs, target)
+            if self._may_touch or piece.ratio > 1:
+                has_new_jerk, present.jerk_change = self._compare_jerk(tableau, piece, n_runs, target)
+                is_changed = is_changed or has_new_jerk
+        _, present.contact_energy, _ = tableau.contact_summary(n_runs)
+        is_harder = present.contact_energy > CONSTANTS.estimate_trust_factor * known.contact_energy
+        return is_changed or is_harder, present
+
+    def _compare_friction(
+        self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float
+    ) -> tuple[bool, float]:
+        """Return if friction that reverses, or a stuck particle that vibrates, displaces; set `may_jump`.
+
+        No step meets the time of a jump. So a force per mass that jumps by a causes a velocity error of up to a h/4. A
+        vibration that the last estimate contained does not count: its error is then predicted.
+
+        Returns:
+            The answer, and the largest velocity of a stuck particle that vibrates [m/s].
+        """
+        changes = tableau.friction_change(n_runs)
+        if changes is None:
+            return False, 0.0
+        change, velocities = changes
+        vibration = largest_distance(velocities, np.zeros_like(velocities))
+        is_new = vibration > CONSTANTS.estimate_trust_factor * self.known.vibration
+        self.may_jump = self._displaces(tableau, n_runs, change * (piece.step / 4.0), target)
+        vibrates = is_new and self._displaces(tableau, n_runs, velocities, target)
+        return self.may_jump or vibrates, vibration
+
+    def _compare_jerk(
+        self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float
+    ) -> tuple[bool, float]:
+        """Return if new jerk by contact or multirate hinges displaces, and the largest [m/s^3]; set `may_kink`.
+
+        Activity and contact energy of another particle hide it. A run errs by h^2/24 times the change of jerk. If a
+        contact begins or ends within half a step of the piece's ends, all runs miss it by up to as much. Multirate
+        hinges err by the square of the interval between their impulses.
+        """
+        interval = piece.ratio * piece.step
+        if piece.ratio > 1:
+            change = self._plan.hinge_jerk(*tableau.combine(n_runs))
+        elif (contact_change := tableau.contact_jerk_change(n_runs)) is not None:
+            change = contact_change
+        else:
+            return False, 0.0
+        largest = largest_distance(change, np.zeros_like(change))
+        is_new = largest > CONSTANTS.estimate_trust_factor * self.known.jerk_change
+        if piece.ratio > 1 and not is_new:
+            return False, largest
+        # Contact may begin or end within half a step whether it is new or not.
+        displaces = self._displaces(tableau, n_runs, change * (interval * interval / 24.0), target)
+        self.may_kink = displaces and piece.ratio == 1
+        return displaces and is_new, largest
+
+    def _displaces(self, tableau: ExtrapolationTableau, n_runs: int, velocities: Array, target: float) -> bool:
+        """Return True if errors of velocities [m/s] displace by more than a target error [m].
+
+        Springs hold a particle that turns alone.
+        """
+        if VELOCITY_ERROR_TIME * largest_distance(velocities, np.zeros_like(velocities)) <= target:
+            return False
+        end, x = tableau.t + tableau.duration, tableau.combine(n_runs)[0]
+        displacement, evaluations = self._plan.velocity_displacement(end, x, velocities, VELOCITY_ERROR_TIME)
+        self._work.add(evaluations)
+        return displacement > target
