@@ -65,7 +65,9 @@ def test_impact_after_single_precision_takes_more_runs() -> None:
 
 
 def test_error_of_another_number_of_runs_is_estimated_again() -> None:
-    rule = ErrorRule(ErrorState(duration=0.01, n_runs=3.0), 1e-6, 8, State([[0.0, 0.0, 0.0]]))
+    state = State([[0.0, 0.0, 0.0]])
+    stability = StabilityRule(compile(Model([1.0], [])), StabilityState(), state.x)
+    rule = ErrorRule(ErrorState(duration=0.01, n_runs=3.0), 1e-6, 8, state, stability)
     frame = FrameTotals()
     frame.runs, frame.errors, frame.changes = ((6, 8, 10), 0.01), [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3
     frame.error = frame.predicted_error = 1e-9
@@ -334,6 +336,6 @@ def test_further_run_needs_a_gain_of_work(refinement: float, expected: bool) -> 
     state = State([[0.0, 0.0, 0.0]])
     plan = compile(Model([1.0], [Gravity([0.0, 0.0, -9.81])]))
     stability = StabilityRule(plan, StabilityState.load(state), state.x)
-    rule = ErrorRule(ErrorState(duration=PERIOD), 1e-6, 4, state)
+    rule = ErrorRule(ErrorState(duration=PERIOD), 1e-6, 4, state, stability)
     # With its share of estimates a run takes 1.08 runs by the longest steps, a combination of two 2.35.
-    assert rule.may_gain(2, 1, refinement, stability, PERIOD) is expected
+    assert rule.may_gain(2, 1, refinement, PERIOD) is expected

@@ -316,9 +316,9 @@ def test_tolerance_below_rounding_is_flagged_and_ends() -> None:
 
 
 def test_doubled_activity_is_not_predicted() -> None:
-    _, state = critical()
+    model, state = critical()
     memory = ErrorState(error=1e-12, activity=1.0, step=1e-3, coefficient=1e-6, duration=0.01)
-    rule = ErrorRule(memory, 1e-6, 4, state)
+    rule = ErrorRule(memory, 1e-6, 4, state, StabilityRule(compile(model), StabilityState(), state.x))
     assert rule.predict((10,), 0.01, (0.0, 0.0), 1.9, 0.0)[0] == pytest.approx(1.9**3 * 1e-12)
     assert rule.predict((10,), 0.01, (0.0, 0.0), 2.1, 0.0)[0] == math.inf
     # A single run has an error of second order; a run of a few steps has no order.
@@ -327,12 +327,13 @@ def test_doubled_activity_is_not_predicted() -> None:
 
 
 def test_doubled_jerk_change_is_predicted_if_it_displaces_little() -> None:
-    _, state = critical()
+    model, state = critical()
+    stability = StabilityRule(compile(model), StabilityState(), state.x)
     jerk_change = 6e-4  # displaces 0.5 s * 6e-4 m/s / (3 * 10^2) = 1e-6 m
     memory = ErrorState(error=1e-12, activity=1.0, step=1e-3, coefficient=1e-6, duration=0.01)
 
     def predict(budget: float, earlier: float) -> float:
-        rule = ErrorRule(attrs.evolve(memory, jerk_change=earlier), budget, 4, state)
+        rule = ErrorRule(attrs.evolve(memory, jerk_change=earlier), budget, 4, state, stability)
         return rule.predict((10,), 0.01, (0.0, 0.0), 1.0, jerk_change)[0]
 
     assert predict(1.9e-6, 0.4 * jerk_change) == math.inf

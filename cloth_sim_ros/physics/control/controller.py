@@ -118,7 +118,7 @@ class Controller:
         #: Error budget of the frame [m].
         tolerance = math.inf if options.tolerance is None else options.tolerance
         self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
-        self._error = ErrorRule(error, self.budget, options.n_runs, state)
+        self._error = ErrorRule(error, self.budget, options.n_runs, state, self._stability)
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
@@ -626,13 +626,13 @@ class Controller:
         """Return number of runs and refinement that meet a target [m] with the fewest evaluations, by its estimates."""
         # The pieces of a stretch share the rounding error of one run, because it cancels over them.
         fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
-        choice = self._estimate.errors, refinement, target, self._stability, piece.length
+        choice = self._estimate.errors, refinement, target, piece.length
         return self._error.choose_runs(*choice, rounding_fraction=fraction, rounded_steps=rounded_steps)
 
     def _may_gain(self, piece: Piece, target: float) -> bool:
         """Return True if a run more than those of the estimates may meet a target [m] with fewer evaluations."""
         n_runs, refinement = self._choose_runs(piece, self._applied_refinement, target)
-        return self._error.may_gain(len(self._estimate.errors) + 1, n_runs, refinement, self._stability, piece.length)
+        return self._error.may_gain(len(self._estimate.errors) + 1, n_runs, refinement, piece.length)
 
     def _requires_much_more(self, refinement: float) -> bool:
         """Return True if a refinement is far above the present one, after a rejected attempt or in rough motion."""
@@ -797,15 +797,14 @@ class Controller:
     def store(self) -> None:
         """Store the rules' numbers, with runs and steps of the next advance, in the state's memory."""
         state, error, frame = self._state, self._error, self._frame
-        target = self._error.target(self._duration)
         if self._is_rough:
             max_step = min(CONSTANTS.stability_safety * self.limit, self._duration)
             error.restart(frame.longest_runs, max(1.0, max_step / frame.longest_step))
         elif frame.has_estimates and frame.is_uniform:
-            self._record_estimate(target)
+            error.learn(frame, self.n_runs, self._applied_refinement, self._duration)
         elif frame.has_estimates:
             error.restart(self.n_runs, self.refinement)
-        elif self._has_tolerance and self.n_runs > 1 and frame.lower_order_error <= target:
+        elif self._has_tolerance and self.n_runs > 1 and frame.lower_order_error <= error.target(self._duration):
             error.memory.time_until_estimate = 0.0  # one run less may suffice
         else:
             error.count_down()
@@ -824,18 +823,6 @@ class Controller:
             (contents or self._changes.known).store(state)
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
-
-    def _record_estimate(self, target: float) -> None:
-        """Record the error estimates of a frame, and choose runs and refinement of the next for a target [m]."""
-        frame, refinement, choice = self._frame, self._applied_refinement, (self._stability, self._duration)
-        is_raised = self._error.raise_accidental_error(frame, self.n_runs)
-        # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
-        next_runs, next_refinement = self._error.choose_runs(
-            frame.errors, refinement, target, *choice, rounding_fraction=frame.n_pieces, present_runs=self.n_runs
-        )
-        # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
-        next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
-        self._error.record_estimate(frame, self.n_runs, next_runs, next_refinement, is_raised=is_raised)
 
     def store_bounds(self) -> None:
         """Store only the spectral bounds in the state's memory; their key must stay, see `reset_step_control`."""

@@ -116,10 +116,13 @@ class ErrorRule:
         budget: error budget of the frame [m].
         max_runs: maximum number of combined runs.
         state: at the start.
+        stability: requires a refinement of each number of runs.
     """
 
-    def __init__(self, memory: ErrorState, budget: float, max_runs: int, state: State) -> None:
-        self.memory, self.budget, self._max_runs = memory, budget, max_runs
+    def __init__(
+        self, memory: ErrorState, budget: float, max_runs: int, state: State, stability: StabilityRule
+    ) -> None:
+        self.memory, self.budget, self._max_runs, self._stability = memory, budget, max_runs, stability
         self._x, self._v = state.x, state.v
 
     @cached_property
@@ -219,7 +222,6 @@ class ErrorRule:
         errors: Sequence[float],
         refinement: float,
         target: float,
-        stability: StabilityRule,
         length: float,
         *,
         rounding_fraction: float = 1.0,
@@ -232,7 +234,6 @@ class ErrorRule:
             errors: of T_1, T_2, ... at the present refinement [m]; that of T_K decreases as h^(K + 1).
             refinement: present refinement.
             target: aimed error [m].
-            stability: requires a refinement of each number of runs.
             length: of the errors' interval [s].
             rounding_fraction: rounding in these errors, relative to that of a run.
             rounded_steps: steps whose roundings of velocities count, see `rounding_floor`.
@@ -243,7 +244,7 @@ class ErrorRule:
             floor = rounding_fraction * self.rounding_floor(n_runs, rounded_steps)
             # No step reduces the error below rounding.
             scale = root(max(error, floor) / max(target, floor), n_runs + 1)
-            required_refinement = max(stability.min_refinement(n_runs, length), refinement * scale)
+            required_refinement = max(self._stability.min_refinement(n_runs, length), refinement * scale)
             work = self._work(n_runs, required_refinement)
             if present_runs and n_runs != present_runs:
                 work *= CONSTANTS.run_change_cost
@@ -251,19 +252,16 @@ class ErrorRule:
                 best = (n_runs, required_refinement, work)
         return best[0], best[1]
 
-    def may_gain(
-        self, further_runs: int, n_runs: int, refinement: float, stability: StabilityRule, length: float
-    ) -> bool:
+    def may_gain(self, further_runs: int, n_runs: int, refinement: float, length: float) -> bool:
         """Return True if further runs with the longest stable steps would need less work than a choice.
 
         Args:
             further_runs: their number.
             n_runs: number of runs of the choice.
             refinement: its refinement.
-            stability: requires a refinement of each number of runs.
             length: of the interval [s].
         """
-        least = self._work(further_runs, stability.min_refinement(further_runs, length))
+        least = self._work(further_runs, self._stability.min_refinement(further_runs, length))
         return CONSTANTS.run_change_cost * least < self._work(n_runs, refinement)
 
     def _work(self, n_runs: int, refinement: float) -> float:
@@ -271,7 +269,24 @@ class ErrorRule:
         estimated_fraction = min(1.0, self.memory.duration / CONSTANTS.max_estimate_period)
         return refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] * estimated_fraction)
 
-    def raise_accidental_error(self, frame: FrameTotals, n_runs: int) -> bool:
+    def learn(self, frame: FrameTotals, n_runs: int, refinement: float, duration: float) -> None:
+        """Record the error estimates of an accepted frame, and choose runs and refinement of the next.
+
+        Args:
+            frame: totals of its pieces; its `errors` may change.
+            n_runs: number of combined runs.
+            refinement: refinement of their steps, that of stability included.
+            duration: of the frame [s].
+        """
+        is_raised = self._raise_accidental_error(frame, n_runs)
+        # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
+        choice = frame.errors, refinement, self.target(duration), duration
+        next_runs, next_refinement = self.choose_runs(*choice, rounding_fraction=frame.n_pieces, present_runs=n_runs)
+        # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
+        next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
+        self.record_estimate(frame, n_runs, next_runs, next_refinement, is_raised=is_raised)
+
+    def _raise_accidental_error(self, frame: FrameTotals, n_runs: int) -> bool:
         """Raise the error of a frame's single runs if it is small by chance; return true if it was raised.
 
         The phases of waves decide the error of a single run, so it may vary tenfold from frame to frame. At most it
@@ -302,7 +317,7 @@ class ErrorRule:
             n_runs: number of combined runs.
             next_runs: number of combined runs of the next frame.
             next_refinement: their refinement.
-            is_raised: True if `raise_accidental_error` raised the error.
+            is_raised: True if the error was small by chance and therefore raised.
         """
         memory, errors, error, (counts, length) = self.memory, frame.errors, frame.error, frame.runs
         prediction_ratio = error / frame.predicted_error if frame.predicted_error > 0.0 else math.inf
