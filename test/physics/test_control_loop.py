@@ -246,7 +246,7 @@ def test_piece_rejected_for_its_energy_leaves_no_energy_behind() -> None:
     piece = controller.choose_piece(0.0)
     assert piece is not None
     tableau = controller.tableau(0.0, piece, None, None)
-    assert not controller.check_energy(tableau, 0.0, piece)
+    assert not controller.check_energy(tableau)
     controller.reject_energy(piece)
     # private: what the frame would store
     assert controller._energy.memory == EnergyState()

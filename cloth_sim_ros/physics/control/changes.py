@@ -31,6 +31,8 @@ class ChangeRule:
         may_touch: True if contact is possible within the advance.
     """
 
+    __slots__ = ("_may_touch", "_plan", "_work", "known", "may_jump", "may_kink")
+
     def __init__(self, plan: Plan, known: ChangeState, work: WorkBudget, *, may_touch: bool) -> None:
         self._plan, self.known, self._work, self._may_touch = plan, known, work, may_touch
         #: True if friction may jump within the last piece, or contact begin or end, beyond the piece's target error.

@@ -28,7 +28,7 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.changes import ChangeRule
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
-from cloth_sim_ros.physics.control.energy import EnergyRule, measure_external_work
+from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
@@ -65,11 +65,11 @@ _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_allowed _applied_refinement _attempts _before _duration _elapsed _ends _error _estimate _fallback_count _frame "
-    "_halved_step _has_tolerance _is_rough _last_refinement _may_slide _may_touch _may_turn _met_limit _multirate "
-    "_multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt _stability _start_bounds "
-    "_start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error exhausted in_fallback limit "
-    "n_runs options refinement rejected work __dict__"
+    "_allowed _applied_refinement _attempts _before _changes _duration _elapsed _ends _error _estimate "
+    "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_slide _may_touch _may_turn "
+    "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
+    "_stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error "
+    "exhausted in_fallback limit n_runs options refinement rejected work __dict__"
 )
 
 
@@ -145,6 +145,7 @@ class Controller:
         limits = memory.max_step, self._fallback_count, contact_time, self.limit, self._ratio
         #: Work of explicit steps.
         self.work = WorkBudget(plan, options.work, duration, *limits)
+        self._changes = ChangeRule(plan, ChangeState.load(state), self.work, may_touch=self._may_touch)
         # Even the longest stable steps may exceed the work limit of the frame.
         #: True if explicit steps are abandoned.
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
@@ -155,11 +156,6 @@ class Controller:
     def _energy(self) -> EnergyRule:
         """Energy rule, created at first access, because most frames do not need it."""
         return EnergyRule(self._plan, EnergyState.load(self._state), self._last_refinement)
-
-    @cached_property
-    def _changes(self) -> ChangeRule:
-        """Change rule, created at first access, because many frames have neither contact nor an error estimate."""
-        return ChangeRule(self._plan, ChangeState.load(self._state), self.work, may_touch=self._may_touch)
 
     @cached_property
     def _has_external_work(self) -> bool:
@@ -468,14 +464,13 @@ class Controller:
         self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, grip_jerk_change, contents)
         return math.inf if self.estimates_error else error
 
-    def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
+    def estimate(self, tableau: ExtrapolationTableau, piece: Piece, allowed: float) -> float:
         """Return the error of a piece [m] by further runs, whose work counts; set `n_runs` to one that suffices.
 
         If the error is above its target, further runs show whether more runs or finer steps are better.
 
         Args:
             tableau: runs of the piece.
-            t: time at its start [s].
             piece: the piece.
             allowed: its error budget [m].
 
@@ -515,7 +510,7 @@ class Controller:
                 estimate.confirm(floor, measure)
             self.n_runs = n_runs
         if self._is_rough or self._changes.may_jump or self._changes.may_kink:
-            estimate.end_error = self._estimate_ends(tableau, t, piece)
+            estimate.end_error = self._estimate_ends(tableau, piece)
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
     def _append_estimate(self, tableau: ExtrapolationTableau, chosen: int) -> None:
@@ -544,9 +539,9 @@ class Controller:
         is_confirmed = self.n_runs == 1 and not is_ordered and not self.in_fallback
         return min(self.n_runs + is_confirmed, self.options.n_runs)
 
-    def _estimate_ends(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> float:
+    def _estimate_ends(self, tableau: ExtrapolationTableau, piece: Piece) -> float:
         """Return the error [m] that a force jump in a piece's first or last half step may cause; count its work."""
-        end, error, half_step = self._state.shallow_copy(), 0.0, 0.5 * piece.step
+        end, error, half_step, t = self._state.shallow_copy(), 0.0, 0.5 * piece.step, tableau.t
         tableau.commit(self.n_runs, end)
         for state, time, duration in ((self._state, t, -half_step), (end, t + piece.length, half_step)):
             change = missed_velocity_change(self._plan, state, time, duration)
@@ -660,25 +655,14 @@ class Controller:
 
     # Rule 3: energy.
 
-    def check_energy(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> bool:
+    def check_energy(self, tableau: ExtrapolationTableau) -> bool:
         """Return False if a piece of unknown or excessive error creates energy; otherwise record its energy drift."""
-        n_runs, energy, drift = self.n_runs, self._energy, None
-        has_contact = self._stability.has_contact(tableau, n_runs)
+        n_runs, has_contact = self.n_runs, self._stability.has_contact(tableau, self.n_runs)
         omega2 = self._stability.memory.omega2, math.inf if has_contact else tableau.summary(n_runs).omega2
-        # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
-        steps_differ = n_runs > 1 or self._is_rough
-        if energy.must_check(omega2, steps_differ, self.refinement):
-            end = self._state.shallow_copy()
-            tableau.commit(n_runs, end)
-            work, evaluations = measure_external_work(self._plan, self._state, tableau, t, n_runs)
-            self.work.add(evaluations, self.work.weight)
-            step = 0.0 if steps_differ else piece.step
-            moments = (t, self._state), (t + piece.length, end)
-            drift = energy.measure_drift(*moments, step, work, refinement=self.refinement)
-            if drift is None:
-                return False
-        energy.accept(omega2, drift)
-        return True
+        choice = tableau, self._state, n_runs, omega2, self.refinement
+        is_allowed, evaluations = self._energy.check(*choice, steps_differ=n_runs > 1 or self._is_rough)
+        self.work.add(evaluations, self.work.weight)
+        return is_allowed
 
     def reject_energy(self, piece: Piece) -> None:
         """Reject a piece that created energy: choose finer steps, or abandon explicit steps.

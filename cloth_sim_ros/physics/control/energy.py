@@ -43,20 +43,47 @@ class EnergyRule:
         self._plan, self.memory, self._last_refinement = plan, memory, last_refinement
         self._is_first_run = memory.min_omega2 < 0.0
 
-    def must_check(self, omega2: tuple[float, float], steps_differ: bool, refinement: float) -> bool:
-        """Return True if the energy of a run must be checked: combined runs, a start, or stiffening.
+    def check(
+        self,
+        tableau: ExtrapolationTableau,
+        start: State,
+        n_runs: int,
+        omega2: tuple[float, float],
+        refinement: float,
+        *,
+        steps_differ: bool,
+    ) -> tuple[bool, int]:
+        """Return False if combined runs create energy, and evaluations spent; otherwise record their energy drift.
 
         A single run needs the check only at the start, and after a change of stiffness.
 
         Args:
-            omega2: bounds of the squared frequency at its start and at its end [1/s^2].
+            tableau: runs whose error is unknown.
+            start: state at their start.
+            n_runs: number of combined runs.
+            omega2: bounds of the squared frequency at their start and at their end [1/s^2].
+            refinement: refinement of their steps.
             steps_differ: True for a combination of runs, or if other pieces of the advance have other step sizes.
-            refinement: refinement of its steps.
         """
-        has_stiffened = max(omega2) > CONSTANTS.energy_check_stiffening * self._min_omega2(omega2)
-        return steps_differ or self._is_start(refinement) or has_stiffened
+        memory, evaluations = self.memory, 0
+        min_omega2 = min(omega2) if memory.min_omega2 < 0.0 else min(memory.min_omega2, *omega2)
+        # A start is a first run, or one with longer steps than the previous run.
+        is_start = self._is_first_run or refinement < self._last_refinement
+        if steps_differ or is_start or max(omega2) > CONSTANTS.energy_check_stiffening * min_omega2:
+            end = start.shallow_copy()
+            tableau.commit(n_runs, end)
+            work, evaluations = _measure_external_work(self._plan, start, tableau, n_runs)
+            # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
+            step = 0.0 if steps_differ else tableau.duration / tableau.counts[0]
+            moments = (tableau.t, start), (tableau.t + tableau.duration, end)
+            energy_drift = self._measure_drift(*moments, step, work, is_start=is_start)
+            if energy_drift is None:
+                return False, evaluations
+            memory.energy_drift, self._is_first_run, self._last_refinement = energy_drift, False, 0.0
+        memory.min_omega2 = min_omega2
+        return True, evaluations
 
-    def measure_drift(self, start: Moment, end: Moment, step: float, work: float, *, refinement: float) -> float | None:
+    def _measure_drift(self, start: Moment, end: Moment, step: float, work: float, *, is_start: bool) -> float | None:
         """Return the energy drift [J], this run included; None if the run created too much energy or is not finite.
 
         Args:
@@ -64,7 +91,7 @@ class EnergyRule:
             end: time and state at its end.
             step: step size [s].
             work: external work over the run [J].
-            refinement: refinement of its steps.
+            is_start: True bounds the oscillation of the energy too.
         """
         conserved, energy, kinetic_energy = zip(self._energies(start, step), self._energies(end, step), strict=True)
         rise = conserved[1] - conserved[0] - work
@@ -75,29 +102,9 @@ class EnergyRule:
         max_oscillation = CONSTANTS.max_energy_oscillation * turnover + rounding_energy
         if not np.isfinite(rise):
             return None
-        if self._is_start(refinement) and energy[1] - energy[0] - work > max_oscillation:
+        if is_start and energy[1] - energy[0] - work > max_oscillation:
             return None
         return None if rise > 0.0 and energy_drift > max_drift else energy_drift
-
-    def accept(self, omega2: tuple[float, float], energy_drift: float | None) -> None:
-        """Record an accepted run whose error is unknown: its energy drift and squared frequency.
-
-        Args:
-            omega2: bounds of the squared frequency at its start and at its end [1/s^2].
-            energy_drift: energy drift after it [J]; None if it was not measured.
-        """
-        self.memory.min_omega2 = self._min_omega2(omega2)
-        if energy_drift is not None:
-            self.memory.energy_drift, self._is_first_run, self._last_refinement = energy_drift, False, 0.0
-
-    def _min_omega2(self, omega2: tuple[float, float]) -> float:
-        """Return the least bound of the squared frequency so far [1/s^2], two further ones included."""
-        known = self.memory.min_omega2
-        return min(omega2) if known < 0.0 else min(known, *omega2)
-
-    def _is_start(self, refinement: float) -> bool:
-        """Return true for a first run, and for one with longer steps than the previous run."""
-        return self._is_first_run or refinement < self._last_refinement
 
     def _rounding_energy(self, x: Array) -> float:
         """Return the energy [J] that rounding coordinates by e [m] causes in a sheet at rest: m w^2 e^2 / 2."""
@@ -132,19 +139,16 @@ def leapfrog_energy(plan: Plan, t: float, state: State, step: float) -> float:
     return energy + 0.125 * step * weighted_dot(plan.model.masses, v, forward - backward)
 
 
-def measure_external_work(
-    plan: Plan, state: State, tableau: ExtrapolationTableau, t: float, n_runs: int
-) -> tuple[float, int]:
+def _measure_external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, n_runs: int) -> tuple[float, int]:
     """Return external work on the cloth [J] in a tableau's interval, and evaluations spent: runs may be repeated.
 
     Args:
         plan: equations of motion.
         state: at the start.
         tableau: runs.
-        t: time at the start [s].
         n_runs: K, the number of combined runs.
     """
-    (x, v), memory = tableau.combine(n_runs), state.memory
+    (x, v), t, memory = tableau.combine(n_runs), tableau.t, state.memory
     moving = plan.contact is not None and not plan.contact.force.steady()
     if not (moving or plan.external_power(t, state.x, state.v, memory) or plan.external_power(t, x, v, memory)):
         return tableau.work(n_runs), 0

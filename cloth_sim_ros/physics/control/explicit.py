@@ -124,14 +124,14 @@ def integrate(
             continue
         if error > allowed:  # rule 2: error, by an estimate unless it is predicted
             n_runs = controller.n_runs
-            error = controller.estimate(tableau, t + elapsed, piece, allowed)
+            error = controller.estimate(tableau, piece, allowed)
             if controller.n_runs != n_runs and not controller.is_stable(tableau, piece):
                 controller.reject_unstable(tableau, piece)
                 continue
             if error > allowed and controller.reject_inaccurate(piece, allowed):
                 continue
         is_known = error <= allowed and controller.options.tolerance is not None
-        if not (is_known or controller.check_energy(tableau, t + elapsed, piece)):  # rule 3: energy
+        if not (is_known or controller.check_energy(tableau)):  # rule 3: energy
             controller.reject_energy(piece)
             continue
         # Times of short pieces may round to the same number, so the next piece must not reuse these runs.
