@@ -18,9 +18,6 @@ class ExplicitSettings(Protocol):
     #: Work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
     work: float
 
-    def step_limit(self, omega2: float, damping_rate: float) -> float:
-        """Return the largest stable step [s] for a squared frequency [1/s^2] and a damping rate [1/s]."""
-
 
 # Most frames have the steps of the previous one.
 @lru_cache(maxsize=64)
