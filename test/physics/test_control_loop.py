@@ -12,7 +12,8 @@ import pytest
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.controller import Controller
-from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
+from cloth_sim_ros.physics.control.error import ErrorRule
+from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.frame_totals import FrameTotals
 from cloth_sim_ros.physics.control.stability import StabilityRule

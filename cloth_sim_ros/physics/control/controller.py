@@ -29,7 +29,8 @@ from cloth_sim_ros.physics.control.changes import ChangeRule
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule
-from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule
+from cloth_sim_ros.physics.control.error import ErrorRule
+from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
 from cloth_sim_ros.physics.control.frame_totals import ErrorPrediction, FrameTotals, Piece
@@ -504,11 +505,7 @@ class Controller:
         floor, measure = self._error.rounding_floor, partial(self._measure_difference, tableau)
         estimate.confirm(floor, measure)
         if not self.in_fallback:
-            # Where an approximate error suffices, the accurate one decides.
-            while (n_runs := estimate.sufficient_runs(chosen, allowed)) in estimate.approximate:
-                estimate.replace(n_runs, measure(n_runs))
-                estimate.confirm(floor, measure)
-            self.n_runs = n_runs
+            self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
         if self._is_rough or self._changes.may_jump or self._changes.may_kink:
             estimate.end_error = self._estimate_ends(tableau, piece)
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
