@@ -548,6 +548,101 @@ def test_particle_that_touches_a_table_is_within_tolerance(
     assert error_of_frames(frames[first:], (2000, 3400), 0.1 * tolerance) <= 1.3 * tolerance
 
 
+def test_layer_that_bounces_within_a_frame_is_within_tolerance() -> None:
+    # Found by a climb. A damped bounce off another layer lasts for a part of a frame. The contact energy of a particle
+    # at resting and a particle that swings hide it.
+    tolerance, rate, thickness, speed, swing, sink, first = 1e-6, 72.0, 9e-4, 6.5e-3, 1.2, 0.017, 9
+    triangle = np.array([[-0.4, -0.4, 0.0], [0.8, -0.4, 0.0], [-0.4, 0.8, 0.0]])
+    resting = [10.0, 0.0, thickness * (1.0 - sink)]
+    falling, origin_of_swing = [0.0, 0.0, thickness + speed * 11.23 / rate], [0.0, 0.0, 5.0]
+    springs = {
+        "positions": [
+            *triangle.tolist(),
+            *np.add(triangle, [10.0, 0.0, 0.0]).tolist(),
+            resting,
+            resting,
+            falling,
+            origin_of_swing,
+            origin_of_swing,
+        ],
+        "velocities": [[0.0] * 3] * 8 + [[0.0, 0.0, -speed], [0.0] * 3, [4.0 * speed * (rate / swing) ** 2, 0.0, 0.0]],
+        "masses": 1.0,
+        "springs": [[6, 7], [9, 10]],
+        "rest_lengths": 0.0,
+        "stiffness": [9e4, swing**2],
+        "k_d0": [0.7, 0.0],
+        "triangles": [[0, 1, 2], [3, 4, 5]],
+    }
+    parameters = {
+        **SPRINGS,
+        "rate": rate,
+        "tolerance": tolerance,
+        "cloth.anchors": [str(particle) for particle in (0, 1, 2, 3, 4, 5, 7, 9)],
+        "contact.self": True,
+        "contact.thickness": thickness,
+        "contact.damping": 200.0,
+        "contact.friction": [0.0, 0.0],
+        "gravity": [0.0, 0.0, 0.0],
+    }
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    frames = unflagged_frames(scene, first + round(rate), {})
+    # A perturbation does not grow.
+    assert error_of_frames(frames[first:], (1000, 1700), 0.1 * tolerance) <= tolerance
+
+
+def test_triangle_that_bounces_off_a_ball_is_within_tolerance() -> None:
+    # Found by a climb. The same as above, with a corner or edge of an obstacle in place of a layer.
+    tolerance, rate, thickness, speed = 2.95605055e-07, 63.0, 0.000826877734, 0.002230473945603146
+    swing, edge, radius, first = 0.250626343, 0.1, 0.004, 10
+    corners = edge / 3**0.5 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.75**0.5, 0.0], [-0.5, -(0.75**0.5), 0.0]])
+    height = 5.0 + radius + 0.5 * thickness + speed * (first + 2.5061805609276613) / rate
+    resting, origin_of_swing = [10.0, 0.0, 0.841191657 * thickness], [0.0, 3.0, 5.0]
+    springs = {
+        "positions": [
+            *np.add(corners, [0.0, 0.0, height]).tolist(),
+            resting,
+            resting,
+            origin_of_swing,
+            origin_of_swing,
+        ],
+        "velocities": [
+            *[[0.0, 0.0, -speed]] * 3,
+            *[[0.0] * 3] * 3,
+            [8.7637118 * speed * (rate / swing) ** 2, 0.0, 0.0],
+        ],
+        "masses": 1.0,
+        "springs": [[0, 1], [1, 2], [0, 2], [3, 4], [5, 6]],
+        "rest_lengths": [edge] * 3 + [0.0] * 2,
+        "stiffness": [108.13425**2 * edge] * 3 + [473.879573**2, swing**2],
+        "k_d0": [0.5] * 3 + [0.7, 0.0],
+        "triangles": [[0, 1, 2]],
+    }
+    parameters = {
+        **SPRINGS,
+        "rate": rate,
+        "tolerance": tolerance,
+        "cloth.anchors": ["4", "5"],
+        "contact.thickness": thickness,
+        "contact.damping": 67.970442,
+        "gravity": [0.0, 0.0, 0.0],
+    }
+    files = {"springs.yaml": json.dumps(springs).encode()}
+    origin = Scene.from_parameters(parameters, files=files).starting_state().positions[3] - resting
+    parameters |= {
+        "obstacles": ["ball", "table"],
+        "ball.shape": "sphere",
+        "ball.size": [radius],
+        "ball.position": (origin + np.array([0.0, 0.0, 5.0])).tolist(),
+        "ball.friction": [0.0],
+        "table.shape": "plane",
+        "table.position": origin.tolist(),
+        "table.friction": [0.0],
+    }
+    frames = unflagged_frames(Scene.from_parameters(parameters, files=files), first + round(rate), {})
+    # A perturbation grows by up to 1.06.
+    assert error_of_frames(frames[first:], (1000, 1700), 0.1 * tolerance) <= 1.06 * tolerance
+
+
 @pytest.mark.parametrize(("rate", "friction"), [(90.0, 0.01), (92.0, 0.012)])
 def test_layers_that_slide_to_and_fro_are_within_tolerance(rate: float, friction: float) -> None:
     # Found by a search. A triangle of cloth slides to and fro on another. A particle that swings hides the friction.

@@ -177,8 +177,8 @@ CLOTH_API int cloth_contact_jerk_change(Plan* plan, double t, double duration, c
         const contact::Moment start{t, x0, v0}, end{t + duration, x1, v1};
         contact::add_contact_jerk(*plan, start, -1.0, duration, out);
         contact::add_contact_jerk(*plan, end, 1.0, duration, out);
-        contact::add_surface_jerk(*plan, start, -1.0, out);
-        contact::add_surface_jerk(*plan, end, 1.0, out);
+        contact::add_surface_jerk(*plan, start, -1.0, duration, out);
+        contact::add_surface_jerk(*plan, end, 1.0, duration, out);
     });
 }
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {

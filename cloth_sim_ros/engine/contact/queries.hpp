@@ -50,10 +50,10 @@ struct Moment {
 };
 
 /// Add the jerk by pushes at a moment times a factor [m/s^3], (3, n), without damping: by obstacles, and on the surface.
-/// Particles that touch an obstacle only within the interval count with the jerk where they stop. It has a duration [s],
-/// and begins at the moment if the factor is negative, else ends there.
+/// What touches only within the interval counts with the jerk where it stops. The interval has a duration [s], and begins
+/// at the moment if the factor is negative, else ends there.
 void add_contact_jerk(const Plan& plan, const Moment& moment, double factor, double duration, double* out);
-void add_surface_jerk(Plan& plan, const Moment& moment, double factor, double* out);
+void add_surface_jerk(Plan& plan, const Moment& moment, double factor, double duration, double* out);
 
 /// Energy per mass, in U^2/2, that contact may have to absorb within `duration`. A particle in contact counts with its
 /// contact energy and its closing speed. A particle that comes into contact counts with its speed then, field

@@ -65,23 +65,33 @@ struct SurfaceContact {
     using Number = V;
 };
 /// Time, positions and velocities of a query, with derivatives or null. With `ignore_reduction` all contacts have the
-/// full thickness.
+/// full thickness. With a duration [s], pairs that may meet within it are contacts too.
 struct SurfaceState {
     double t;
     const double *x, *v = nullptr, *dx = nullptr, *dv = nullptr;
     bool ignore_reduction = false;
+    double duration = 0.0;
 };
 
 /// Call `visit` with each contact of the cloth with itself. Positions that are not finite have no contact.
 template <class V, class F>
 inline void for_each_self_contact(Plan& plan, const SurfaceState& state, F&& visit) {
     const Contacts& contacts = plan.contacts;
-    if (!plan.self || (!is_surely_in_contact(plan, state.x) && plan.self->is_clear(state.x, contacts.thickness)))
-        return;
-    const QueryNumbers<V> at(plan, state.x, state.dx), velocity(plan, state.v, state.dv);
+    if (!plan.self) return;
+    const QueryNumbers<V> velocity(plan, state.v, state.dv);
+    double margin = 0.0;
+    if (state.duration > 0.0) {
+        MotionBound motion;
+        motion.include(velocity.quads(), nullptr, plan.count);
+        // Neighbours in a flat sheet don't count.
+        margin = smaller(motion.diameter() * state.duration, 0.5 * plan.self->surface.shortest);
+    }
+    const double range = contacts.thickness + margin;
+    if (!is_surely_in_contact(plan, state.x) && plan.self->is_clear(state.x, range)) return;
+    const QueryNumbers<V> at(plan, state.x, state.dx);
     SelfVerletList& neighbors = plan.self->neighbors();
-    if (!neighbors.find(at.quads(), contacts.thickness, 0.0)) return;
-    SurfaceLaw<V> law(contacts.thickness, contacts.damping);
+    if (!neighbors.find(at.quads(), contacts.thickness, margin)) return;
+    SurfaceLaw<V> law(range, contacts.damping);
     std::vector<Scaling<double>> scalings;
     if (!state.ignore_reduction) self_scalings(plan, state.t, scalings);
     law.reduce(&scalings);
@@ -90,7 +100,7 @@ inline void for_each_self_contact(Plan& plan, const SurfaceState& state, F&& vis
         if (!m.gaps.empty()) visit(SurfaceContact{law, m, at, velocity});
     };
     for_each_neighbor(
-        neighbors, contacts.thickness,
+        neighbors, range,
         [&](Index i, const Index* begin, const Index* end) {
             law.particle(neighbors.surface, i, begin, end, at, velocity, m);
             emit();
@@ -107,15 +117,20 @@ inline void for_each_feature_contact(Plan& plan, const SurfaceState& state, F&& 
     if (!plan.features || !plan.features->has_any(contacts)) return;
     FeatureContactModel& model = *plan.features;
     const QueryNumbers<V> cloth(plan, state.x, state.dx), cloth_velocity(plan, state.v, state.dv);
-    SurfaceLaw<V> law(contacts.thickness, contacts.damping, model.mass);
     Contact<V> m;
     const BoundingBall ball(state.x, plan.count);
+    const double fastest = state.duration > 0.0 ? max_speed(state.v, plan.count) : 0.0;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         FeatureVerletList& neighbors = model.neighbors()[k];
-        if (!model.has(contacts, k) || ball.is_away(contacts, k, state.t, contacts.thickness)) continue;
+        if (!model.has(contacts, k)) continue;
+        if (!state.duration && ball.is_away(contacts, k, state.t, contacts.thickness)) continue;
         const Pose pose = contacts.obstacle_pose(k, state.t);
         const FeaturesAt from{model.obstacles[k], pose, pose.position - pose_at(contacts.path(k), state.t).position};
-        if (!neighbors.find(model.surface, cloth.quads(), from, law.thickness(false), 0.0)) continue;
+        const double speed = fastest + root(norm2(pose.velocity)) + root(norm2(pose.spin)) * from.features.reach,
+                     margin = smaller(speed * state.duration, 2.0 * model.surface.shortest);
+        if (margin && ball.is_away(contacts, k, state.t, contacts.thickness + margin)) continue;
+        SurfaceLaw<V> law(contacts.thickness + margin, contacts.damping, model.mass);
+        if (!neighbors.find(model.surface, cloth.quads(), from, contacts.thickness, margin)) continue;
         law.set_obstacle(from.features.radius, state.ignore_reduction
                                                    ? full_thickness<double>()
                                                    : contacts.feature_scaling(k, plan.count, state.t));
@@ -179,12 +194,19 @@ double self_friction_power(Plan& plan, double t, const double* x, const double* 
                                   [&](const auto& c) { dissipation += layer_dissipation(plan, c); });
     return dissipation;
 }
-void add_surface_jerk(Plan& plan, const Moment& moment, double factor, double* out) {
-    for_each_surface_contact<double>(plan, {.t = moment.t, .x = moment.x, .v = moment.v}, [&](const auto& c) {
+void add_surface_jerk(Plan& plan, const Moment& moment, double factor, double duration, double* out) {
+    const SurfaceLaw<double> surface_law(plan.contacts.thickness, plan.contacts.damping);
+    const SurfaceState state{.t = moment.t, .x = moment.x, .v = moment.v, .duration = duration};
+    for_each_surface_contact<double>(plan, state, [&](const auto& c) {
         const Contact<double>& m = c.contact;
-        const double scale = factor * m.mass * (m.edges ? m.fade_factor : 1.0) / m.scaling.scale;
+        const double scale = factor * m.mass * (m.edges ? m.fade_factor : 1.0) / m.scaling.scale,
+                     thickness = surface_law.thickness(m.edges);
         for (const GapTerm<double>& g : m.gaps) {
-            const double jerk = scale * g.sign * c.law.law(m.edges).stiffness(g.gap) * g.closing;
+            if (!(g.gap < thickness) && !(g.gap < thickness - factor * g.closing * duration)) continue;
+            // Out of contact, the surface stops the particle within the interval, or has stopped it.
+            const double speed = g.closing / ContactLaw<double>::speed,
+                         nearest = g.gap < thickness ? g.gap : stopping_gap(speed * speed) * thickness,
+                         jerk = scale * g.sign * surface_law.law(m.edges).stiffness(nearest) * g.closing;
             for (int corner = 0; corner < 4; ++corner) {
                 if (g.corner[corner] < 0 || (!m.edges && corner && g.corner[corner] == g.corner[0])) continue;
                 const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
