@@ -550,7 +550,7 @@ def test_particle_that_touches_a_table_is_within_tolerance(
 
 def test_layer_that_bounces_within_a_frame_is_within_tolerance() -> None:
     # Found by a climb. A damped bounce off another layer lasts for a part of a frame. The contact energy of a particle
-    # at resting and a particle that swings hide it.
+    # at rest and a particle that swings hide it.
     tolerance, rate, thickness, speed, swing, sink, first = 1e-6, 72.0, 9e-4, 6.5e-3, 1.2, 0.017, 9
     triangle = np.array([[-0.4, -0.4, 0.0], [0.8, -0.4, 0.0], [-0.4, 0.8, 0.0]])
     resting = [10.0, 0.0, thickness * (1.0 - sink)]
