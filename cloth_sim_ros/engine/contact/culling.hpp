@@ -162,7 +162,6 @@ public:
     void disable() { plan_.self_culled = false; }
 
 private:
-    double relative_speed(const double* v) const;
     Plan& plan_;
     const double* x0_;
     double duration_, speed_limit_ = 0.0;

@@ -64,6 +64,14 @@ struct SurfaceContact {
     const FeaturesAt* from = nullptr;
     using Number = V;
 };
+/// Upper bound of the relative speed of two particles at velocities v, (3, n).
+inline double max_relative_speed(const Plan& plan, const double* v) {
+    const std::int64_t n = plan.count;
+    MotionBound bound;
+    for (std::int64_t i = 0; i < n; ++i) bound.include(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
+    return bound.diameter();
+}
+
 /// Time, positions and velocities of a query, with derivatives or null. With `ignore_reduction` all contacts have the
 /// full thickness. With a duration [s], pairs that may meet within it are contacts too.
 struct SurfaceState {
@@ -78,17 +86,13 @@ template <class V, class F>
 inline void for_each_self_contact(Plan& plan, const SurfaceState& state, F&& visit) {
     const Contacts& contacts = plan.contacts;
     if (!plan.self) return;
-    const QueryNumbers<V> velocity(plan, state.v, state.dv);
-    double margin = 0.0;
-    if (state.duration > 0.0) {
-        MotionBound motion;
-        motion.include(velocity.quads(), nullptr, plan.count);
-        // Neighbours in a flat sheet don't count.
-        margin = smaller(motion.diameter() * state.duration, 0.5 * plan.self->surface.shortest);
-    }
-    const double range = contacts.thickness + margin;
+    // Neighbours in a flat sheet don't count.
+    const double margin = state.duration > 0.0 ? smaller(max_relative_speed(plan, state.v) * state.duration,
+                                                         0.5 * plan.self->surface.shortest)
+                                               : 0.0,
+                 range = contacts.thickness + margin;
     if (!is_surely_in_contact(plan, state.x) && plan.self->is_clear(state.x, range)) return;
-    const QueryNumbers<V> at(plan, state.x, state.dx);
+    const QueryNumbers<V> at(plan, state.x, state.dx), velocity(plan, state.v, state.dv);
     SelfVerletList& neighbors = plan.self->neighbors();
     if (!neighbors.find(at.quads(), contacts.thickness, margin)) return;
     SurfaceLaw<V> law(range, contacts.damping);
@@ -701,7 +705,7 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
         !is_surely_in_contact(plan, x0) && self.stays_separated(x0, v0, plan.contacts.thickness, duration);
     if (is_separated_) return;
     const Array<double> positions = quads_of(plan, x0);
-    speed_limit_ = 2.0 * relative_speed(v0) + SelfContact::speed_margin;
+    speed_limit_ = 2.0 * max_relative_speed(plan, v0) + SelfContact::speed_margin;
     const double margin = speed_limit_ * duration;
     plan.self_culled = plan.contacts.thickness + margin < SelfVerletList::min_reach * self.surface.shortest &&
                        self.neighbors().has_no_pairs(positions.data(), plan.contacts.thickness, margin);
@@ -709,15 +713,8 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
 
 bool SelfCulling::is_violated(const double* x, const double* v, bool is_next_start) const {
     if (!plan_.self_culled) return false;
-    if (!is_separated_) return !(relative_speed(v) <= speed_limit_);
+    if (!is_separated_) return !(max_relative_speed(plan_, v) <= speed_limit_);
     return !plan_.self->stayed_separated(x0_, x, v, plan_.contacts.thickness, duration_, is_next_start);
-}
-
-double SelfCulling::relative_speed(const double* v) const {
-    const std::int64_t n = plan_.count;
-    MotionBound bound;
-    for (std::int64_t i = 0; i < n; ++i) bound.include(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
-    return bound.diameter();
 }
 
 FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0)
