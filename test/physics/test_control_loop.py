@@ -12,7 +12,7 @@ import pytest
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.controller import Controller
-from cloth_sim_ros.physics.control.error import ErrorRule
+from cloth_sim_ros.physics.control.error import ErrorRule, coefficient_of
 from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.frame_totals import FrameTotals
@@ -78,6 +78,23 @@ def test_error_of_another_number_of_runs_is_estimated_again() -> None:
     # That of a single run may have been small by chance.
     rule.record_estimate(frame, 3, 1, 1.0, is_raised=False)
     assert rule.memory.time_until_estimate == 0.0
+
+
+def test_error_that_fell_by_chance_is_raised_and_not_trusted() -> None:
+    state, length = State([[0.0, 0.0, 0.0]]), 0.01
+    stability = StabilityRule(compile(Model([1.0], [])), StabilityState(), state.x)
+    # Equal steps and activity, and an error of an eighth of the last one.
+    counts, last = (12, 15), 4e-7
+    memory = ErrorState(duration=length, error=last, activity=1.0, estimate_period=4.0 * length, step=length / 12)
+    memory.coefficient, memory.refinement = coefficient_of(counts[:1], length), 2.0
+    rule, frame = ErrorRule(memory, 1e-6, 2, state, stability), FrameTotals()
+    frame.runs, frame.errors, frame.changes = (counts, length), [last / 8.0, last / 8.0], [(0.0, 0.0)] * 2
+    frame.error, frame.predicted_error, frame.activity, frame.n_pieces = last / 8.0, last, 1.0, 1
+    rule.learn(frame, 1, 2.0, length)
+    assert rule.memory.error == pytest.approx(last / 2.0)
+    assert rule.memory.refinement > 1.0
+    # A frame without an estimate follows, not a longer period.
+    assert rule.memory.estimate_period == length
 
 
 class _Wall(Force):
