@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 30
+ABI = 31
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -145,6 +145,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_contact_gap_rows": (_INT, _P, _D, _P, _P),
     "cloth_contact_growth_power": (_INT, _P, _D, _P, _P, _P),
     "cloth_hinge_jerk": (_INT, _P, _P, _P, _P),
+    "cloth_kink_velocities": (_INT, _P, _P, _P, _P, _P, _P, _P, _D, _D, _P),
     "cloth_contact_jerk_change": (_INT, _P, _D, _D, _P, _P, _P, _P, _P),
     "cloth_friction_change": (_INT, _P, _D, _D, _P, _P, _P, _P, _P),
     "cloth_stretch_difference": (_INT, _P, _D, _P, _P, _P, _P),

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, a
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.state.controller_state import reset_step_control
+from cloth_sim_ros.physics.state.controller_state import estimate_next_frame, reset_step_control
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.plan_cache import PlanCache
@@ -367,7 +367,9 @@ class Simulation(ExclusiveAccess):
         self._apply_scene(scene)
         if affects_no_motion:
             return
-        if not is_small_change(values, before, scene, self.state.v):
+        if is_small_change(values, before, scene, self.state.v):
+            estimate_next_frame(self.state)
+        else:
             reset_step_control(self.state, entirely=is_step_stable)
         wake(self.state)
         stop_particles(self.state, np.setdiff1d(self.model.anchors, anchors))

@@ -19,7 +19,13 @@ REASONS = {
         10.0: "expected iterations of a first implicit frame, two stages of five",
     },
     "description.py": {0.99: "text about a step that is shorter than the requested one; decides nothing"},
-    "force_jump.py": {0.25: "quarters of the last half step", 0.75: "same", 4.0: "fourth difference", 6.0: "same"},
+    "force_jump.py": {
+        0.25: "quarters of the last half step",
+        0.75: "same",
+        1.25: "same",
+        4.0: "fourth difference",
+        6.0: "same",
+    },
     "energy.py": {1e-12: "rounding of a sum of energies", 8.0: "roundings", 0.125: "h^2/8 v'Kv of the leapfrog"},
     "error.py": {
         3.0: "order of a single run's error in a frame: h^3 x'''",

@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.physics.simulate import simulate
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_integrator import MotionState
@@ -113,6 +113,90 @@ def test_hung_sheet_is_within_tolerance() -> None:
         error = max(error, np.linalg.norm(simulation.state.x - exact.x, axis=0).max())
         growth = max(growth, *(np.linalg.norm(motion.x - exact.x, axis=0).max() / size for motion in perturbed))
     assert error <= tolerance * growth
+
+
+def test_strain_that_meets_its_limit_is_within_tolerance() -> None:
+    # The second derivative of the force jumps within the last half step of a frame, which no run samples.
+    tolerance, growth = 2.93610467e-8, 1.68
+    parameters = {
+        "rate": 36.0,
+        "tolerance": tolerance,
+        "cloth.resolution": [2, 2],
+        "cloth.size": [1.57690468, 0.610173503],
+        "cloth.orientation": [0.5, 0.5, 0.5, 0.5],
+        "cloth.anchors": ["top"],
+        "material.stretch_modulus": 5.52581211,
+        "material.stretch_modulus_weft": 5.52581211,
+        "material.shear_modulus": 0.08902589,
+        "material.poisson_ratio": 0.0,
+        "material.density": 0.3,
+        "material.damping": 0.0,
+        "material.warp_direction": [1.0, 0.03158585895282884, 0.0],
+        "material.warp_stiffening": [0.0252717849, 22.7423849],
+        "material.weft_stiffening": [0.0325803858, 11.7075973],
+        "membrane.model": "triangles",
+        "bending.model": "none",
+        "air.drag": 0.0,
+        "wind.normal_drag": 0.0,
+        "gravity": [0.0, 0.0, -8.26094982],
+        "grippers": [""],
+    }
+    frames = unflagged_frames(Scene.from_parameters(parameters), 36, {})
+    assert error_of_frames(frames, (1000, 1700), 0.1 * tolerance) <= tolerance * growth
+
+
+def test_sheet_in_a_gust_is_within_tolerance() -> None:
+    # A small change of the wind keeps error estimates, but not those of combined runs.
+    tolerance = 1.01834407e-8
+    parameters = {
+        "rate": 34.0,
+        "tolerance": tolerance,
+        "cloth.resolution": [2, 2],
+        "cloth.size": [0.94, 1.07],
+        "cloth.orientation": [0.5, 0.5, 0.5, 0.5],
+        "cloth.anchors": ["top"],
+        "material.stretch_modulus": 36.1434001,
+        "material.shear_modulus": 4.68360462,
+        "material.density": 0.3,
+        "material.damping": 0.0,
+        "bending.model": "none",
+        "air.drag": 0.0,
+        "wind.normal_drag": 0.478662773,
+        "wind.velocity": [-0.077, 0.244, -0.185],
+        "gravity": [0.0, 0.0, -2.35425407],
+        "grippers": [""],
+    }
+    gust = {23: [SetParameters({"wind.velocity": [3.91, 0.16, 1.34]})]}
+    frames = unflagged_frames(Scene.from_parameters(parameters), 51, gust)
+    assert error_of_frames(frames[17:], (2000, 3400), 0.1 * tolerance) <= tolerance
+
+
+def test_hinges_thrown_over_are_within_tolerance() -> None:
+    # The force of a hinge pulses at the middle of a frame, where both runs of an odd number of steps sample it.
+    tolerance, growth = 6.3391462e-7, 3.2
+    parameters = {
+        "rate": 55.0,
+        "tolerance": tolerance,
+        "cloth.resolution": [3, 2],
+        "cloth.size": [1.73475483, 0.867377415],
+        "cloth.orientation": [0.5, 0.5, 0.5, 0.5],
+        "cloth.anchors": ["top"],
+        "material.stretch_modulus": 5.32676062,
+        "material.shear_modulus": 0.06823231078526147,
+        "material.bending_modulus": 0.000105473532,
+        "material.density": 0.3,
+        "material.damping": 0.0,
+        "bending.model": "crossed",
+        "bending.rest_angle": -0.1874835332456487,
+        "air.drag": 0.0,
+        "wind.normal_drag": 0.0,
+        "gravity": [0.0, 0.0, -0.833160226],
+        "grippers": [""],
+    }
+    velocities = np.zeros((3, 6))
+    velocities[1, 2:] = [2.225153244, 3.337729866, 4.450306488, 5.56288311]
+    frames = unflagged_frames(Scene.from_parameters(parameters), 82, {}, velocities)
+    assert error_of_frames(frames[27:], (1000, 1700), 0.1 * tolerance) <= tolerance * growth
 
 
 def error_of_fall(plan: Plan, state: State, tolerance: float, rate: int, gravity: Array, particles: slice) -> float:
@@ -392,6 +476,20 @@ def test_accelerated_grip_in_implicit_steps_is_within_tolerance(stiffness: float
         (64.0, 3.3e-6, 0.034, 1.0, 0.063, (4.8, 0.07), 2.9, 0.0055, (4.7e-6, 1.7e-5, 1.03), "altitude", 1.0),
         (56.0, 1.22e-6, 0.0926, 0.927, 0.2155, (1421.0, 0.56), 1.769, 0.1558, (0.2635, 2.212, 0.949), "crossed", 1.0),
         (39.0, 5.24e-5, 0.193, 1.0, 0.00354, (11.8, 0.339), 2.05, 0.00337, (0.00592, 0.0707, 0.727), "altitude", 2.2),
+        # It begins to yield within the last half step of a piece, which no run samples.
+        (
+            64.0,
+            9.13025e-09,
+            0.197285179,
+            0.526369777,
+            0.119221288,
+            (48.4339182, 0.0),
+            0.839228007,
+            0.0977985518,
+            (0.494457265, 0.928910502, 0.705902947),
+            "crossed",
+            1.36,
+        ),
     ],
 )
 def test_hinge_with_friction_is_within_tolerance(
@@ -436,7 +534,7 @@ def test_hinge_with_friction_is_within_tolerance(
     }
     scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
     frames = unflagged_frames(scene, round(rate), {})
-    assert error_of_frames(frames, (2000, 3500), 0.1 * tolerance) <= tolerance * growth
+    assert error_of_frames(frames, (4000, 7000), 0.3 * tolerance) <= tolerance * growth
 
 
 def test_hinge_that_a_gripper_turns_round_is_within_tolerance() -> None:

@@ -27,12 +27,17 @@ SPRINGS = {
 }
 
 
-def unflagged_frames(scene: Scene, count: int, events: Mapping[int, Sequence[Event]]) -> list[SimulatedFrame]:
-    """Return a number of frames, with events by frame; no frame may be flagged."""
+def unflagged_frames(
+    scene: Scene, count: int, events: Mapping[int, Sequence[Event]], velocities: Array | None = None
+) -> list[SimulatedFrame]:
+    """Return a number of frames, with events by frame and velocities [m/s] at the start; no frame may be flagged."""
     simulation, capture, frames = Simulation(scene), FrameCapture(), list[SimulatedFrame]()
+    if velocities is not None:
+        simulation.state.v[:] = velocities
     for k in range(count):
         before = simulation.state.shallow_copy()
-        simulated = capture.capture(simulation, scene, before, simulation.advance(events.get(k, ())))
+        done = simulation.advance(events.get(k, ()))
+        simulated = capture.capture(simulation, simulation.scene, before, done)
         assert simulated is not None
         assert not simulated.flagged
         frames.append(simulated)

@@ -115,6 +115,10 @@ CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, co
                                        const double* dv, double* out);
 /// Jerk by hinges [m/s^3], (3, n); see plan::hinge_jerk.
 CLOTH_API int cloth_hinge_jerk(Plan* plan, const double* x, const double* v, double* out);
+/// Velocity changes that runs may miss at kinks [m/s], (3, n), in an interval; see plan::kink_velocities.
+CLOTH_API int cloth_kink_velocities(Plan* plan, const double* x0, const double* v0, const double* x1, const double* v1,
+                                    const double* plastic0, const double* plastic1, double duration, double step,
+                                    double* out);
 /// Blocks of a list of springs or joints, in its own order; see pair_blocks.
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out);

@@ -13,7 +13,7 @@
 
 namespace cloth::api {
 
-CLOTH_API int cloth_engine_abi() { return 30; }
+CLOTH_API int cloth_engine_abi() { return 31; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -213,6 +213,12 @@ CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, co
 }
 CLOTH_API int cloth_hinge_jerk(Plan* plan, const double* x, const double* v, double* out) {
     return guarded(plan, [&] { plan::hinge_jerk(*plan, x, v, out); });
+}
+CLOTH_API int cloth_kink_velocities(Plan* plan, const double* x0, const double* v0, const double* x1, const double* v1,
+                                    const double* plastic0, const double* plastic1, double duration, double step,
+                                    double* out) {
+    return guarded(plan,
+                   [&] { plan::kink_velocities(*plan, {x0, v0, x1, v1, plastic0, plastic1, duration, step}, out); });
 }
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {

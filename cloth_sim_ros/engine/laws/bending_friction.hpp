@@ -59,6 +59,20 @@ struct BendingFriction {
         const V deflection = h - p.plastic_length;
         return select(deflection > p.reach, h - p.reach, select(deflection < -p.reach, h + p.reach, p.plastic_length));
     }
+    /// Largest jumps of the rate of the tension [N/s] at kinks within a step [s] after the start, and before the end, of an
+    /// interval of a duration [s]. Signed lengths, their rates and plastic lengths at both ends are known. A hinge that
+    /// yields from half a step before to half a step after has no kink.
+    static void kinks(const Params<double>& p, const double (&h)[2], const double (&rate)[2],
+                      const double (&plastic)[2], double duration, double step, double (&jump)[2]) {
+        const double change = absolute(rate[1] - rate[0]) / duration * step;
+        const bool yields_long = absolute(plastic[1] - plastic[0]) > absolute(rate[1]) * step;
+        for (int end = 0; end < 2; ++end) {
+            const double deflection = h[end] - plastic[end], speed = absolute(rate[end]) + change,
+                         left = p.reach - absolute(deflection), outward = deflection < 0.0 ? -rate[end] : rate[end];
+            const bool yields = left <= 1e-6 * p.reach && outward > change && (end == 0 || yields_long);
+            jump[end] = left <= speed * step && !yields ? p.k * speed : 0.0;
+        }
+    }
     /// Energy [J] that a change of the plastic length dissipates.
     template <class V>
     static CLOTH_INLINE V plastic_work(const Params<V>& p, V next) {

@@ -118,18 +118,53 @@ struct MembraneLaw {
         return larger(fma(s.warp, r.warp, fma(s.weft, r.weft, s.shear * r.shear)), V{});
     }
 
+    /// Strains and their rates [1/s] of the threads: warp, weft and shear.
+    template <class V>
+    static CLOTH_INLINE void strains(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, V (&value)[3],
+                                     V (&rate)[3]) {
+        const Vec3<V> a = warp(p, d), b = weft(p, d);
+        const Stress<V> r = rates(p, a, b, u);
+        value[0] = strain(a), value[1] = strain(b), value[2] = dot(a, b);
+        rate[0] = r.warp, rate[1] = r.weft, rate[2] = r.shear;
+    }
+    /// Largest jump of the second time derivative of stress `k` [N m/s^2] within an interval of a duration [s], between
+    /// whose ends a strain and its rate are known; zero if the strain can't reach a limit. A jump at strain 0 counts as
+    /// the one at the limit that changes the motion of half a step [s] as much.
+    static double limit_jump(const Params<double>& p, int k, const double (&strain)[2], const double (&rate)[2],
+                             double duration, double step) {
+        const double limit = p.growth[k].limit, mean = (strain[1] - strain[0]) / duration;
+        const double speed = larger(absolute(mean), larger(absolute(rate[0]), absolute(rate[1])));
+        // A cubic deviates from its chord by up to 4/27 of what its slopes at the ends do; a wave by more.
+        const double deviation = 8.0 / 27.0 * duration * (absolute(rate[0] - mean) + absolute(rate[1] - mean));
+        const double least = smaller(strain[0], strain[1]) - deviation, most = larger(strain[0], strain[1]) + deviation;
+        const auto reaches = [&](double value) { return least <= value && value <= most; };
+        double size = 0.0;
+        if (reaches(limit) || (k == 2 && reaches(-limit)))
+            size = limit;
+        else if (k < 2 && reaches(0.0))
+            size = smaller(limit, 0.125 * step * speed);
+        return 2.0 * p.area * p.growth[k].rate * size * (speed * speed);
+    }
+
+    /// Gradients of strain `k` by the corners [1/m].
+    template <class V>
+    static CLOTH_INLINE void gradients(const Params<V>& p, const Vec3<V>* d, int k, Vec3<V> (&gradient)[3]) {
+        const Vec3<V> a = warp(p, d), b = weft(p, d);
+        const V along[3] = {-(p.p1 + p.p2), p.p1, p.p2}, across[3] = {-(p.q1 + p.q2), p.q1, p.q2};
+        for (int i = 0; i < 3; ++i)
+            gradient[i] = k == 0 ? along[i] * a : k == 1 ? across[i] * b : fma(along[i], b, across[i] * a);
+    }
+
     /// The stiffness is A (C11 (a.a')^2 + 2 C12 (a.a')(b.b') + C22 (b.b')^2 + G (a.b' + b.a')^2) and the part of the
     /// stress. |2 C12 (a.a')(b.b')| <= |C12| (r (a.a')^2 + (b.b')^2 / r), r = sqrt(C11 / C22), leaves three squares.
     /// Square `k` of them, for every corner.
     template <class V>
     static CLOTH_INLINE void square(const Params<V>& p, const Vec3<V>* d, int k, Bound<V>* bound) {
         const Vec3<V> a = warp(p, d), b = weft(p, d);
-        const V p0 = -(p.p1 + p.p2), q0 = -(p.q1 + p.q2);
-        const V along[3] = {p0, p.p1, p.p2}, across[3] = {q0, p.q1, p.q2};
         Vec3<V> g[3];
+        gradients(p, d, k, g);
         V total{};
         for (int i = 0; i < 3; ++i) {
-            g[i] = k == 0 ? along[i] * a : k == 1 ? across[i] * b : fma(along[i], b, across[i] * a);
             bound[i].norm = root(norm2(g[i]));
             total = total + bound[i].norm;
         }

@@ -39,6 +39,17 @@ void add_product(Plan& plan, double t, const double* x, const double* v, const d
 /// Jerk by hinges at constant velocities v [m/s^3], (3, n), zero for anchored particles, without added mass.
 void hinge_jerk(const Plan& plan, const double* x, const double* v, double* out);
 
+/// Positions and velocities (3, n) and plastic lengths at both ends of an interval of a duration [s], of runs with a step
+/// [s]. Without hinges with friction, plastic lengths are null.
+struct Interval {
+    const double *x0, *v0, *x1, *v1, *plastic0, *plastic1;
+    double duration, step;
+};
+/// Largest velocity changes [m/s], (3, n), that all runs may miss at kinks within half a step of the ends of an interval:
+/// where a strain meets a limit of stiffening, and where hinges with friction begin or cease to yield. Changes of a
+/// particle never cancel, since kinks are at different times.
+void kink_velocities(const Plan& plan, const Interval& interval, double* out);
+
 /// Largest eigenvalues of n matrices (6, n).
 void eigenvalues(const double* blocks, std::int64_t n, double* to);
 /// Add the bounds of stiffness and damping of all parts except grippers, contact and drag to (6, n).

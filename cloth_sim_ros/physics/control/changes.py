@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Change rule: contact, friction and hinges that the last error estimate did not contain.
+"""Change rule: contact, friction, hinges and strains at a limit that the last error estimate did not contain.
 
 Activity and differences of runs, by which errors are predicted, do not show them. Their errors are estimated from the
 motion of a piece. If they displace by more than its target error, the piece needs an estimate. Derivation:
@@ -28,15 +28,17 @@ class ChangeRule:
         plan: equations of motion.
         known: state of the rule.
         work: counts the evaluations of displacements.
-        may_touch: True if contact is possible within the advance.
+        may_touch: True if contact is expected within the advance.
     """
 
-    __slots__ = ("_may_touch", "_plan", "_work", "known", "may_jump", "may_kink")
+    __slots__ = ("_may_touch", "_plan", "_work", "kink_error", "known", "may_jump", "may_kink")
 
     def __init__(self, plan: Plan, known: ChangeState, work: WorkBudget, *, may_touch: bool) -> None:
         self._plan, self.known, self._work, self._may_touch = plan, known, work, may_touch
         #: True if friction may jump within the last piece, or contact begin or end, beyond the piece's target error.
         self.may_jump = self.may_kink = False
+        #: Displacement [m] by kinks of stiffening and friction of bending that all runs may miss; 0 below the target.
+        self.kink_error = 0.0
 
     def compare(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float, *, energy_alone: bool
@@ -52,15 +54,26 @@ class ChangeRule:
         """
         is_changed, present, known = False, ChangeState(), self.known
         self.may_jump = self.may_kink = False
+        self.kink_error = 0.0
         if not energy_alone:
+            if self._plan.has_kinks:
+                displacement = self._displacement(tableau, n_runs, tableau.kink_velocities(n_runs), target)
+                self.kink_error = displacement if displacement > target else 0.0
             if self._may_touch:
                 is_changed, present.vibration = self._compare_friction(tableau, piece, n_runs, target)
             if self._may_touch or piece.ratio > 1:
                 has_new_jerk, present.jerk_change = self._compare_jerk(tableau, piece, n_runs, target)
                 is_changed = is_changed or has_new_jerk
-        _, present.contact_energy, _ = tableau.contact_summary(n_runs)
+            # A kink of the jaw's acceleration errs by up to a step's share.
+            is_changed = is_changed or VELOCITY_ERROR_TIME * tableau.jaw_speed_change(n_runs) > target * piece.steps
+        energy, present.contact_energy, rates = tableau.contact_summary(n_runs)
+        end, has_jerk = tableau.summary(n_runs), self._may_touch and piece.ratio == 1 and present.jerk_change > 0.0
+        touches = has_jerk or energy > 0.0 or end.contact_energy > 0.0 or max(rates[0], end.self_contact[0]) > 0.0
+        if touches and not energy_alone and (n_runs > 1 or not self._may_touch):
+            # It has kinks where it begins or ends, and where the surface changes its curvature.
+            is_changed = self.may_kink = True
         is_harder = present.contact_energy > CONSTANTS.estimate_trust_factor * known.contact_energy
-        return is_changed or is_harder, present
+        return is_changed or is_harder or self.kink_error > 0.0, present
 
     def _compare_friction(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float
@@ -109,13 +122,17 @@ class ChangeRule:
         return displaces and is_new, largest
 
     def _displaces(self, tableau: ExtrapolationTableau, n_runs: int, velocities: Array, target: float) -> bool:
-        """Return True if errors of velocities [m/s] displace by more than a target error [m].
+        """Return True if errors of velocities [m/s] displace by more than a target error [m]."""
+        return self._displacement(tableau, n_runs, velocities, target) > target
+
+    def _displacement(self, tableau: ExtrapolationTableau, n_runs: int, velocities: Array, target: float) -> float:
+        """Return the displacement [m] by errors of velocities [m/s]; 0 if it can't exceed a target error [m].
 
         Springs hold a particle that turns alone.
         """
         if VELOCITY_ERROR_TIME * largest_distance(velocities, np.zeros_like(velocities)) <= target:
-            return False
+            return 0.0
         end, x = tableau.t + tableau.duration, tableau.combine(n_runs)[0]
         displacement, evaluations = self._plan.velocity_displacement(end, x, velocities, VELOCITY_ERROR_TIME)
         self._work.add(evaluations)
-        return displacement > target
+        return displacement

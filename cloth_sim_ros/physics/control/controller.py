@@ -67,7 +67,7 @@ _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
     "_allowed _applied_refinement _attempts _before _changes _duration _elapsed _ends _error _estimate "
-    "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_slide _may_touch _may_turn "
+    "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_touch _may_turn "
     "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
     "_stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error "
     "exhausted in_fallback limit n_runs options refinement rejected work __dict__"
@@ -131,8 +131,6 @@ class Controller:
         self.limit = sheet_limit if plan.contact is None else self._stability.predicted_limit(t, duration, state)
         contact_time = self._stability.contact_time
         self._may_touch = contact_time > 0.0
-        #: True if friction may jump within this advance.
-        self._may_slide = self._may_touch and plan.contact is not None and plan.contact.force.has_anchors
         if options.step is not None and not has_previous_frame:
             refuse_step(options.step, self.limit, options.name)
         self._ratio = 1
@@ -352,8 +350,8 @@ class Controller:
         self, t: float, piece: Piece, previous: ExtrapolationTableau | None, accumulator: WorkAccumulator | None
     ) -> ExtrapolationTableau:
         """Return a tableau of runs of a piece from time t [s], or the previous attempt's if steps are equal."""
-        # Friction jumps too. Only the difference of two runs shows it.
-        is_coprime = self._is_rough or (self._may_slide and self.n_runs == 1)
+        # Where runs begin a step together, all miss a kink alike.
+        is_coprime = self._is_rough or self._plan.contact is not None or self._plan.has_kinks
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=is_coprime)
         single_precision = is_estimated = False
         if self._has_tolerance:
@@ -456,11 +454,14 @@ class Controller:
             grip_jerk_change,
         )
         is_changed, contents = False, None
-        if self._plan.contact is not None or piece.ratio > 1:
+        if self._plan.contact is not None or self._plan.has_kinks or piece.ratio > 1:
             target = self._error.target(piece.length)
             is_changed, contents = self._changes.compare(tableau, piece, n_runs, target, energy_alone=self.in_fallback)
-        has_kinks = self._plan.plastic is not None and not (self.estimates_error or self.in_fallback)
-        if is_changed or (has_kinks and tableau.kink_displacement(n_runs) > self._error.target(piece.length)):
+        may_yield = self._plan.plastic is not None and not (self.estimates_error or self.in_fallback)
+        if is_changed or (may_yield and tableau.kink_displacement(n_runs) > self._error.target(piece.length)):
+            error = math.inf
+        if n_runs > 1 and summary.turn > 0.5 * CONSTANTS.max_turn and not self.in_fallback:
+            # Hinges and springs that turn fast may pulse where all runs sample them.
             error = math.inf
         self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, grip_jerk_change, contents)
         return math.inf if self.estimates_error else error
@@ -508,6 +509,7 @@ class Controller:
             self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
         if self._is_rough or self._changes.may_jump or self._changes.may_kink:
             estimate.end_error = self._estimate_ends(tableau, piece)
+        estimate.end_error += self._changes.kink_error
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
     def _append_estimate(self, tableau: ExtrapolationTableau, chosen: int) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check for a force jump in the first or last half step of an interval.
+"""Check for a jump or kink of forces in the first or last half step of an interval.
 
 Runs evaluate forces at the middle of their steps, so none of them samples these half steps. Halving an interval at a
 force jump moves the jump there. Therefore this check compares accelerations over such a half step.
@@ -10,21 +10,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from cloth_sim_ros.physics.arithmetic.arrays import combine
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import drift_jaws
 from cloth_sim_ros.physics.state.state import State
 
-#: Fractions of the half step, measured back from its end, and weights of the fourth difference.
-_DIFFERENCE_WEIGHTS = ((0.25, -4.0), (0.5, 6.0), (0.75, -4.0), (1.0, 1.0))
+#: Fractions of the half step, measured back from its end, at which accelerations are compared, and the weights of
+#: fourth differences of five in a row. The last one is beyond the half step, so that a kink at its start shows.
+_FRACTIONS, _WEIGHTS = (0.25, 0.5, 0.75, 1.0, 1.25), (1.0, -4.0, 6.0, -4.0, 1.0)
+#: A kink changes the velocity by up to seven times the larger of two differences; at most places by less than this.
+_MISSED_DIFFERENCES = 2.0
 #: Force evaluations of the check.
-EVALUATIONS = 1 + len(_DIFFERENCE_WEIGHTS)
+EVALUATIONS = 1 + len(_FRACTIONS)
 
 
 def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float) -> Array:
-    """Return the velocity changes [m/s] that a force jump within a half step may cause, about 0 if smooth, (3, n).
+    """Return the velocity changes [m/s] by a jump or kink of forces within a half step, about 0 if smooth, (3, n).
 
-    It is the fourth difference of the accelerations times the half step; for smooth motion it is nearly zero.
+    A fourth difference of accelerations times the half step is nearly zero for smooth motion. At a kink it vanishes at
+    two places in the half step. So there are two, a quarter of the half step apart, and the larger one counts.
 
     Args:
         plan: equations of motion.
@@ -33,12 +38,12 @@ def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float)
         half_step: length [s]; negative for a half step that starts with the state.
     """
     x, v, memory = state.x, state.v, state.memory
-    a, earlier, difference = np.empty_like(x), np.empty_like(x), np.empty_like(x)
-    plan.accelerations(t, x, v, a, memory)
-    difference[:] = a
-    for fraction, weight in _DIFFERENCE_WEIGHTS:
+    accelerations = np.empty((EVALUATIONS, *x.shape))
+    plan.accelerations(t, x, v, accelerations[0], memory)
+    a = accelerations[0]
+    for fraction, earlier in zip(_FRACTIONS, accelerations[1:], strict=True):
         dt = fraction * half_step
         plan.accelerations(t - dt, x - dt * v + (0.5 * dt * dt) * a, v - dt * a, earlier, drift_jaws(memory, -dt))
-        difference += weight * earlier
-    difference *= half_step
-    return difference
+    last, next_to_last = (combine(list(part), _WEIGHTS) for part in (accelerations[:-1], accelerations[1:]))
+    is_larger = np.abs(next_to_last) > np.abs(last)
+    return np.where(is_larger, next_to_last, last) * (_MISSED_DIFFERENCES * half_step)

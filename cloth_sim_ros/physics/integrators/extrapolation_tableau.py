@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of
-from cloth_sim_ros.physics.state.controller_state import with_jaws
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, with_jaws
 from cloth_sim_ros.physics.state.state import State
 
 #: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
@@ -204,6 +204,15 @@ class ExtrapolationTableau:
         states = self._start.x, self._start.v, *self.combine(n_runs)
         return contact.jerk_change(self.t, self.duration, states, self._start.memory)
 
+    def kink_velocities(self, n_runs: int) -> Array:
+        """Return velocity changes that all runs may miss at kinks [m/s], see `PlanQueries.kink_velocities`."""
+        plastic, start, lengths = self._plan.plastic, self._start, None
+        if plastic is not None:
+            end_memory = self._end_memory(n_runs)
+            lengths = plastic.lengths_of(start.memory), plastic.lengths_of(end_memory)
+        ends, step = self.combine(n_runs), self.duration / self.counts[0]
+        return self._plan.kink_velocities((start.x, start.v), ends, lengths, self.duration, step)
+
     def kink_displacement(self, n_runs: int) -> float:
         """Return the displacement [m] by kinks of bending friction, see `PlasticLengths.kink_displacement`."""
         (x, v), plastic = self.combine(n_runs), self._plan.plastic
@@ -293,13 +302,18 @@ class ExtrapolationTableau:
         self._make_runs(n_runs)
         return contact.combine_jaws(self._runs[:n_runs], weights(self.counts[:n_runs]))
 
+    def jaw_speed_change(self, n_runs: int) -> float:
+        """Return the largest change of a jaw's speed over the interval [m/s]; 0 without parallel grippers."""
+        start, end = self._start.memory.get(JAWS_KEY), self.jaws(n_runs)
+        return 0.0 if start is None or end is None else float(np.abs(end[:, 1] - start[:, 1]).max())
+
     def _jaw_difference(self, n_runs: int) -> float:
-        """Return the largest change of a jaw [m] if one run more is combined: half opening, or speed times a time."""
+        """Return the largest change of a jaw [m] if one run more is combined: half opening, or what speed displaces."""
         next_jaws, jaws = self.jaws(n_runs + 1), self.jaws(n_runs)
         if next_jaws is None or jaws is None:
             return 0.0
         differences = np.abs(next_jaws - jaws)
-        return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._frame_time)
+        return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * VELOCITY_ERROR_TIME)
 
     def contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
         """Return the largest contact energies and self-contact rates in the first n_runs runs; zeros without contact.

@@ -31,6 +31,8 @@ MOVE_OPERATIONS, GRID_SPRING_OPERATIONS = 40, 26
 GRID_CELL_OPERATIONS = {"quad": 45, "mass_quad": 140, "quadratic": 12}
 #: Element kinds of added mass.
 MASS_KINDS = ("mass_triangle", "mass_quad")
+#: Element kind whose moduli grow with strain.
+STIFFENING_KIND = "stiffening_membrane"
 #: Element kind with plastic lengths.
 PLASTIC_KIND = "bending_friction"
 #: Element kinds whose forces multirate runs evaluate less often.
@@ -105,6 +107,11 @@ class Assembly:
     def plastic(self) -> ElementList | None:
         """Element list of the hinges with bending friction; None without any."""
         return next((part for part in self.element_lists if part.kind == PLASTIC_KIND), None)
+
+    @property
+    def stiffens(self) -> bool:
+        """True if the moduli of a membrane grow with strain."""
+        return any(part.kind == STIFFENING_KIND for part in self.element_lists)
 
     def upload(self, handle: int) -> None:
         """Upload uniform forces, grid and element lists to the engine's plan, given by its pointer."""

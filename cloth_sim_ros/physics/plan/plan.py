@@ -146,6 +146,8 @@ class Plan(PlanQueries, Uncopyable):
         self.plastic: PlasticLengths | None = None
         if assembly.plastic is not None:
             self.plastic = PlasticLengths(self._owner, assembly.plastic, model.inverse_masses)
+        #: True if forces other than contact have kinks, see `kink_velocities`.
+        self.has_kinks = assembly.stiffens or self.plastic is not None
         self._python_callback = PythonForces(self._python_forces, self._shape) if self._python_forces else None
         if self._python_callback is not None:
             check(self._library.cloth_plan_callback(self._handle, self._python_callback.callback))

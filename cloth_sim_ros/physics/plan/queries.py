@@ -228,6 +228,32 @@ class PlanQueries:
         check(self._library.cloth_hinge_jerk(self._handle, *addresses, address(out)))
         return out
 
+    def kink_velocities(
+        self,
+        start: tuple[Array, Array],
+        end: tuple[Array, Array],
+        plastic_lengths: tuple[Array, Array] | None,
+        duration: float,
+        step: float,
+    ) -> Array:
+        """Return the largest velocity changes [m/s] that runs miss at kinks near the ends of an interval, (3, n).
+
+        All runs miss a kink within half a step of the ends. There a strain meets a limit of stiffening, or a hinge with
+        friction begins or ceases to yield. Changes of a particle add up in size.
+
+        Args:
+            start: positions [m] and velocities [m/s] at the start, (3, n) each.
+            end: the same at the end.
+            plastic_lengths: at start and end [m], (hinges,) each; None without friction of bending.
+            duration: of the interval [s].
+            step: of runs [s].
+        """
+        out = np.empty(self._shape)
+        addresses = (float64_address(name, array, self._shape) for name, array in zip("xvxv", start + end, strict=True))
+        lengths = (0, 0) if plastic_lengths is None else [address(lengths) for lengths in plastic_lengths]
+        check(self._library.cloth_kink_velocities(self._handle, *addresses, *lengths, duration, step, address(out)))
+        return out
+
     def prescribe(self, t: float, x: Array, v: Array) -> Array:
         """Set x, v of prescribed particles to their gripper's; return impulses, work, dissipation, (grippers, 8)."""
         if self._grip_binding is None:

@@ -331,6 +331,17 @@ def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
     return with_jaws(memory, np.stack([jaws[:, 0] + duration * jaws[:, 1], jaws[:, 1]], axis=1))
 
 
+def estimate_next_frame(state: HasMemory) -> None:
+    """Let the next advance estimate its error if it combines runs, because forces have changed a little.
+
+    A single run is more active then, which shows in its predicted error.
+    """
+    error = ErrorState.load(state)
+    if error.n_runs > 1.0:
+        error.time_until_estimate = 0.0
+        error.store(state)
+
+
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
     """Reset a state's step control after an event: the next advance estimates its error, `auto` compares integrators.
 
