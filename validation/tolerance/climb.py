@@ -23,7 +23,8 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from validation.case_pool import CasePool, read_results
 from validation.report import Report
-from validation.tolerance.climb_scenes import FAMILIES, Trial
+from validation.tolerance.climb_families import FAMILIES
+from validation.tolerance.climb_scenes import Trial
 
 METHODS = ("hill", "evolution")
 #: Random starts of a hill climb, and limits of the number of failures in a row before it restarts.

@@ -8,8 +8,7 @@ They are particles, springs, sheets and events, and two with references of their
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import attrs
@@ -368,10 +367,10 @@ def contact(rng: np.random.Generator) -> Trial:
     draw = draw_contact_scene(rng, kind, friction, _SIDES)
     # Perturbations are a hundred times larger.
     fine = min(max(FINE, 1e-4 * draw.scene.tolerance), 1e-9)
-    return _evaluate_frames(attrs.evolve(draw, frames=round(draw.scene.rate)), fine, 10.0 * fine, PERTURBATION)
+    return evaluate_frames(attrs.evolve(draw, frames=round(draw.scene.rate)), fine, 10.0 * fine, PERTURBATION)
 
 
-def _evaluate_frames(draw: RandomScene, fine: Accuracy, rough: Accuracy, size: float) -> Trial:
+def evaluate_frames(draw: RandomScene, fine: Accuracy, rough: Accuracy, size: float) -> Trial:
     """Evaluate the last second of a scene, see `evaluate_contact_window`."""
     run = run_contact(draw)
     windows, trouble, second = list[Window](), run.trouble, len(run.frames) - draw.first
@@ -396,12 +395,12 @@ _PERTURBATION_FRACTION = 0.01
 def shaken(rng: np.random.Generator) -> Trial:
     """Evaluate particles on an obstacle that moves."""
     draw = draw_shaken(rng)
-    return _evaluate_frames(draw, *_JUMP_STEPS, max(PERTURBATION, _PERTURBATION_FRACTION * draw.scene.tolerance))
+    return evaluate_frames(draw, *_JUMP_STEPS, max(PERTURBATION, _PERTURBATION_FRACTION * draw.scene.tolerance))
 
 
 def prescribed(rng: np.random.Generator) -> Trial:
     """Evaluate particles in grippers that move and stop, which prescribe their motion or are springs."""
-    return _evaluate_frames(draw_prescribed(rng), *_SMOOTH_STEPS, PERTURBATION)
+    return evaluate_frames(draw_prescribed(rng), *_SMOOTH_STEPS, PERTURBATION)
 
 
 def save_times(rng: np.random.Generator) -> Trial:
@@ -441,25 +440,3 @@ def save_times(rng: np.random.Generator) -> Trial:
     window = linear_window(exact, saved, durations[:end], motion.advances, tolerance)
     words = f"{count - 1} joints, saved each {interval:.2g} s"
     return Trial(tolerance=tolerance, words=words, parameters=parameters, windows=(window,))
-
-
-#: Evaluation of each family by the draws of a generator, and the number of coordinates that a climb varies.
-FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
-    "falling": (falling, 6),
-    "joints": (partial(network, is_joint=True), 20),
-    "springs": (partial(network, is_joint=False), 20),
-    "thrown": (thrown, 8),
-    "snapping": (snapping, 14),
-    "hung": (hung, 16),
-    "moving": (moving, 40),
-    "carried-air": (partial(moving, carries_air=True), 42),
-    "fabric": (fabric, 60),
-    "friction": (friction, 50),
-    "mesh": (mesh, 40),
-    "mesh-air": (partial(mesh, carries_air=True), 42),
-    "events": (events, 70),
-    "contact": (contact, 24),
-    "save-times": (save_times, 18),
-    "shaken": (shaken, 40),
-    "prescribed": (prescribed, 45),
-}
