@@ -63,9 +63,9 @@ def gust(rng: np.random.Generator) -> Trial:
 def hinges(rng: np.random.Generator) -> Trial:
     """Evaluate two rows of cells whose hinges are thrown over."""
     values = _hung_cells(rng, [3, 2])
-    side = values["cloth.size"][0]
+    width = values["cloth.size"][0]
     values |= {
-        "cloth.size": [2.0 * side, side],
+        "cloth.size": [2.0 * width, width],
         "bending.model": str(rng.choice(["crossed", "altitude"])),
         "material.bending_modulus": log_uniform(rng, 1e-4, 1e-1),
         "bending.rest_angle": float(rng.uniform(-0.5, 0.5)),
@@ -123,8 +123,8 @@ def gliding(rng: np.random.Generator) -> Trial:
     if not is_mesh:
         body = {"thing.shape": "box", "thing.size": [8.0, 8.0, 8.0]}
     values = {"rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, -gravity], "contact.thickness": thickness}
-    place = (0.0, 0.0, 0.0) if is_mesh else (-4.0, 0.0, -4.0)
-    scene = _spring_scene(tables, values | body, place, {"thing.obj": _ridge(slope)} if is_mesh else {})
+    corner = (0.0, 0.0, 0.0) if is_mesh else (-4.0, 0.0, -4.0)
+    scene = _spring_scene(tables, values | body, corner, {"thing.obj": _ridge(slope)} if is_mesh else {})
     return _evaluate_contact(rng, scene, "glides", tables)
 
 
@@ -238,17 +238,21 @@ def _evaluate_sheet(
 def _spring_scene(
     tables: dict[str, Any],
     values: dict[str, Any],
-    place: tuple[float, float, float] | None = None,
+    obstacle_position: tuple[float, float, float] | None = None,
     files: dict[str, bytes] | None = None,
 ) -> Scene:
-    """Return a scene of raw springs; an obstacle "thing" has a place [m] in the frame of the springs' file."""
+    """Return a scene of raw springs; an obstacle "thing" has a position [m] in the frame of the springs' file."""
     files = {"springs.yaml": json.dumps(tables).encode(), **(files or {})}
     values = {**_SPRINGS, **values}
-    if place is None:
+    if obstacle_position is None:
         return Scene.from_parameters(values, files=files)
     sheet = {key: value for key, value in values.items() if not key.startswith(("thing.", "contact."))}
     offset = Scene.from_parameters(sheet, files=files).starting_state().positions[0] - np.array(tables["positions"][0])
-    obstacle = {"obstacles": ["thing"], "thing.position": (offset + place).tolist(), "thing.friction": [0.0]}
+    obstacle = {
+        "obstacles": ["thing"],
+        "thing.position": (offset + obstacle_position).tolist(),
+        "thing.friction": [0.0],
+    }
     return Scene.from_parameters({**values, **obstacle, "contact.damping": 0.0}, files=files)
 
 
