@@ -31,10 +31,12 @@ class ChangeRule:
         may_touch: True if contact is expected within the advance.
     """
 
-    __slots__ = ("_may_touch", "_plan", "_work", "kink_error", "known", "may_jump", "may_kink")
+    __slots__ = ("_plan", "_work", "is_unexpected", "kink_error", "known", "may_jump", "may_kink", "may_touch")
 
     def __init__(self, plan: Plan, known: ChangeState, work: WorkBudget, *, may_touch: bool) -> None:
-        self._plan, self.known, self._work, self._may_touch = plan, known, work, may_touch
+        self._plan, self.known, self._work = plan, known, work
+        #: True if contact is expected; and if the last piece touched although it was not.
+        self.may_touch, self.is_unexpected = may_touch, False
         #: True if friction may jump within the last piece, or contact begin or end, beyond the piece's target error.
         self.may_jump = self.may_kink = False
         #: Displacement [m] by kinks of stiffening and friction of bending that all runs may miss; 0 below the target.
@@ -59,17 +61,18 @@ class ChangeRule:
             if self._plan.has_kinks:
                 displacement = self._displacement(tableau, n_runs, tableau.kink_velocities(n_runs), target)
                 self.kink_error = displacement if displacement > target else 0.0
-            if self._may_touch:
+            if self.may_touch:
                 is_changed, present.vibration = self._compare_friction(tableau, piece, n_runs, target)
-            if self._may_touch or piece.ratio > 1:
+            if self.may_touch or piece.ratio > 1:
                 has_new_jerk, present.jerk_change = self._compare_jerk(tableau, piece, n_runs, target)
                 is_changed = is_changed or has_new_jerk
             # A kink of the jaw's acceleration errs by up to a step's share.
             is_changed = is_changed or VELOCITY_ERROR_TIME * tableau.jaw_speed_change(n_runs) > target * piece.steps
         energy, present.contact_energy, rates = tableau.contact_summary(n_runs)
-        end, has_jerk = tableau.summary(n_runs), self._may_touch and piece.ratio == 1 and present.jerk_change > 0.0
+        end, has_jerk = tableau.summary(n_runs), self.may_touch and piece.ratio == 1 and present.jerk_change > 0.0
         touches = has_jerk or energy > 0.0 or end.contact_energy > 0.0 or max(rates[0], end.self_contact[0]) > 0.0
-        if touches and not energy_alone and (n_runs > 1 or not self._may_touch):
+        self.is_unexpected = touches and not self.may_touch and not energy_alone
+        if touches and n_runs > 1 and not energy_alone:
             # It has kinks where it begins or ends, and where the surface changes its curvature.
             is_changed = self.may_kink = True
         is_harder = present.contact_energy > CONSTANTS.estimate_trust_factor * known.contact_energy

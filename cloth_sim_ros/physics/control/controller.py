@@ -67,7 +67,7 @@ _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
     "_allowed _applied_refinement _attempts _before _changes _duration _elapsed _ends _error _estimate "
-    "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_touch _may_turn "
+    "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_turn "
     "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
     "_stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error "
     "exhausted in_fallback limit n_runs options refinement rejected work __dict__"
@@ -130,13 +130,13 @@ class Controller:
         #: Step limit at the start [s].
         self.limit = sheet_limit if plan.contact is None else self._stability.predicted_limit(t, duration, state)
         contact_time = self._stability.contact_time
-        self._may_touch = contact_time > 0.0
+        may_touch = contact_time > 0.0
         if options.step is not None and not has_previous_frame:
             refuse_step(options.step, self.limit, options.name)
         self._ratio = 1
         if plan.has_hinges:
             # Waves of contact may have any frequency, without damping.
-            allowed = has_tolerance and not self._may_touch and self._stability.is_damped(duration)
+            allowed = has_tolerance and not may_touch and self._stability.is_damped(duration)
             self._multirate = MultirateRule(plan, controller_state.MultirateState.load(state), allowed=allowed)
             self._ratio = self._choose_ratio(min(CONSTANTS.stability_safety * sheet_limit, duration))
             self._start_hinge_bounds = self._multirate.bounds
@@ -144,7 +144,7 @@ class Controller:
         limits = memory.max_step, self._fallback_count, contact_time, self.limit, self._ratio
         #: Work of explicit steps.
         self.work = WorkBudget(plan, options.work, duration, *limits)
-        self._changes = ChangeRule(plan, ChangeState.load(state), self.work, may_touch=self._may_touch)
+        self._changes = ChangeRule(plan, ChangeState.load(state), self.work, may_touch=may_touch)
         # Even the longest stable steps may exceed the work limit of the frame.
         #: True if explicit steps are abandoned.
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
@@ -173,7 +173,7 @@ class Controller:
     @property
     def has_explicit_fallback(self) -> bool:
         """True if explicit steps in the reserved work are the fallback: with contact, tolerance, and not used yet."""
-        return self._may_touch and self._has_tolerance and not self.in_fallback
+        return self._changes.may_touch and self._has_tolerance and not self.in_fallback
 
     def use_reserve(self) -> None:
         """Reset the controller, not the state, to a fallback: single runs of the longest steps, with reserved work."""
@@ -189,6 +189,11 @@ class Controller:
         if self._plan.has_hinges:
             self._multirate.bounds = self._start_hinge_bounds
         self.estimates_error = True
+        if self._changes.is_unexpected:
+            self._changes.may_touch = True
+            if self._ratio > 1:
+                # Waves of contact may have any frequency, without damping.
+                self._multirate.ratio = self._ratio = 1
         self.__dict__.pop("_energy", None)
         self._begin()
 
@@ -216,13 +221,14 @@ class Controller:
     def must_restart(self, *, is_missed: bool) -> bool:
         """Return True if the frame must restart with error estimates, because accepted pieces may be wrong too.
 
-        They were accepted by predictions and a later one misses its budget, or a spring may turn over in this piece.
+        They were accepted by predictions and a later one misses its budget. Or a spring may turn over in this piece, or
+        it touches although contact was not expected.
 
         Args:
             is_missed: True if the predicted error of a piece exceeds its budget.
         """
         is_predicted = self._frame.n_pieces > 0 and not self._frame.has_estimates
-        return (is_missed and is_predicted) or (self._may_turn and not self._is_rough)
+        return (is_missed and is_predicted) or (self._may_turn and not self._is_rough) or self._changes.is_unexpected
 
     # Pieces.
 
@@ -351,7 +357,7 @@ class Controller:
     ) -> ExtrapolationTableau:
         """Return a tableau of runs of a piece from time t [s], or the previous attempt's if steps are equal."""
         # Where runs begin a step together, all miss a kink alike.
-        is_coprime = self._is_rough or self._plan.contact is not None or self._plan.has_kinks
+        is_coprime = self._is_rough or self._changes.may_touch or self._plan.has_kinks
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=is_coprime)
         single_precision = is_estimated = False
         if self._has_tolerance:
@@ -692,7 +698,7 @@ class Controller:
             return
         # With contact, fewer runs are cheaper and more accurate than implicit steps.
         n_runs = self.n_runs
-        while self._may_touch and n_runs > 1 and not self._fits(n_runs, refinement, piece):
+        while self._changes.may_touch and n_runs > 1 and not self._fits(n_runs, refinement, piece):
             n_runs -= 1
         # The work limit may shorten a finer attempt to the rejected one, whose runs are known.
         attempt = self.work.used, self.n_runs, self.refinement, piece
