@@ -302,6 +302,15 @@ def test_approximate_error_is_measured_before_it_raises_another(accurate: float,
     assert not estimate.approximate
 
 
+def test_raised_error_stays_where_it_is_measured_afterwards() -> None:
+    estimate = ErrorEstimate(is_rough=False)
+    for error, is_approximate in ((1e-4, True), (4e-8, True), (3e-9, True), (1e-5, False)):
+        estimate.append(error, is_approximate=is_approximate)
+    estimate.confirm(lambda n_runs: 1e-15, {1: 1e-4, 2: 4e-8, 3: 3.15e-9}.__getitem__)
+    assert estimate.errors[1:] == [1e-5, 1e-5, 1e-5]
+    assert estimate.sufficient_runs(4, 1e-8) == 4
+
+
 def test_accurate_error_decides_where_an_approximate_one_fits() -> None:
     estimate = ErrorEstimate(is_rough=False)
     estimate.append(3e-9)

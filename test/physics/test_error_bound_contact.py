@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 import pytest
-from support.error_bound import SPRINGS, error_of_frames, unflagged_frames
+from support.error_bound import SPRINGS, error_by_evaluations, error_of_frames, unflagged_frames
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.scene.scene import Scene
@@ -286,6 +286,77 @@ def test_particle_between_jaws_is_within_tolerance() -> None:
     scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
     frames = unflagged_frames(scene, 52, {0: [Target("hand", [0.0, 0.0, 1.0])], 1: [Grasp("hand", True)]})
     assert error_of_frames(frames, (2000, 3400), 0.1 * tolerance) <= tolerance
+
+
+@pytest.mark.parametrize("moves", [(0.01,), (0.06,)])
+def test_layer_that_a_gripper_moves_meets_a_particle(moves: tuple[float, ...]) -> None:
+    # The layer rests at both ends of the frame, so speeds there do not show that it gets near.
+    tolerance, rate, thickness, extent, depth = 1e-4, 60.0, 0.03, 0.3, 3.0
+    height = thickness + 0.0025
+    corners = [[-extent, -extent, 0.0], [extent, -extent, 0.0], [0.0, extent, 0.0]]
+    springs = {
+        "positions": [*corners, [0.0, 0.0, height], [0.0, 0.0, height], [9.0, 0.0, 0.0]],
+        "masses": 1.0,
+        "springs": [[3, 4]],
+        "rest_lengths": 0.0,
+        "stiffness": 1.0,
+        "k_d0": 0.0,
+        "triangles": [[0, 1, 2]],
+    }
+    parameters = {
+        **SPRINGS,
+        "rate": rate,
+        "tolerance": tolerance,
+        "cloth.anchors": ["4", "5"],
+        "gravity": [0.0, 0.0, 0.0],
+        "grippers": ["hand"],
+        "gripper.model": "prescribed",
+        "gripper.radius": (depth**2 + 2.0 * extent**2) ** 0.5 + 0.0005,
+        "contact.self": True,
+        "contact.thickness": thickness,
+        "contact.damping": 0.0,
+        "contact.friction": [0.0, 0.0],
+    }
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    x = scene.starting_state().positions
+    center = np.array([x[3, 0], x[3, 1], x[0, 2] - depth])
+    events: dict[int, list[Event]] = {0: [Target("hand", center), Grasp("hand", True)]}
+    for frame, move in enumerate(moves, 3):
+        center = center + np.array([0.0, 0.0, move])
+        events[frame] = [Target("hand", center)]
+    frames = unflagged_frames(scene, 12, events)
+    layer, particle = frames[-1].after.x[2, 0], frames[-1].after.x[2, 3]
+    # It pushes the particle off, and does not pass through it.
+    assert particle > layer + 0.5 * thickness
+    assert error_by_evaluations(frames) <= tolerance
+
+
+def test_spring_that_swings_to_a_plane_and_back_within_a_frame() -> None:
+    # The particle rests at both ends of the frame, further from the plane than its speeds there lead.
+    tolerance, rate, thickness, damping = 1e-5, 30.0, 0.02, 0.05
+    frequency, height = 2.0 * np.pi * rate, 2.0 / rate + thickness + 0.002
+    amplitude = (height - 0.7 * thickness) / (1.0 + np.exp(-np.pi * damping / (1.0 - damping**2) ** 0.5))
+    springs = {
+        "positions": [[0.0, 0.0, height - amplitude + 1.0], [0.0, 0.0, height]],
+        "masses": 1.0,
+        "springs": [[0, 1]],
+        "rest_lengths": 1.0,
+        "stiffness": frequency**2,
+        "k_d0": 2.0 * damping,
+    }
+    parameters = {**SPRINGS, "rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, 0.0]}
+    files = {"springs.yaml": json.dumps(springs).encode()}
+    start = Scene.from_parameters(parameters, files=files).starting_state().positions[0]
+    parameters |= {
+        "obstacles": ["table"],
+        "table.shape": "plane",
+        "table.position": (start - springs["positions"][0]).tolist(),
+        "table.friction": [0.0],
+        "contact.thickness": thickness,
+        "contact.damping": 0.0,
+    }
+    frames = unflagged_frames(Scene.from_parameters(parameters, files=files), 10, {})
+    assert error_by_evaluations(frames) <= tolerance
 
 
 def test_layer_that_bounces_within_a_frame_is_within_tolerance() -> None:

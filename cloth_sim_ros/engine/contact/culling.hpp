@@ -8,7 +8,7 @@
 
 namespace cloth::contact {
 
-using plan::Plan;
+using plan::MotionRecord, plan::Plan;
 
 /// Largest speed of the particles, anchored ones included.
 inline double max_speed(const double* v, std::int64_t n) {
@@ -88,9 +88,9 @@ private:
 };
 
 /// Excludes obstacles that no particle can reach from the runs of a frame. Such an obstacle is more than four times as
-/// far away as the fastest particle, with `speed_margin` added, moves in the frame. If a particle ends a run at more
-/// than twice that speed, or a skipped block moved faster than assumed (see ContactSummary), all runs of the frame are
-/// repeated with all obstacles.
+/// far away as the fastest particle, with `speed_margin` added, moves in the frame. If a particle is faster than twice
+/// that in any step of a run, or a skipped block moved faster than assumed (see ContactSummary), all runs of the frame
+/// are repeated with all obstacles.
 class ObstacleCulling {
 public:
     ObstacleCulling(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
@@ -122,11 +122,13 @@ public:
         for (std::int64_t k = 0; k < contacts.count(); ++k) present += contacts.present(k);
         covers_all_ = static_cast<std::int64_t>(contacts.active.size()) == present;
     }
-    /// Whether a run with end velocities v and this summary violates the assumptions.
-    bool is_violated(const double* v, const double* summary) const {
-        if (!plan_.contacts.may_skip_blocks && covers_all_) return false;
+    /// Whether runs leave anything out.
+    bool is_active() const { return plan_.contacts.count() && (plan_.contacts.may_skip_blocks || !covers_all_); }
+    /// Whether a run with end velocities v, this summary and this motion violates the assumptions.
+    bool is_violated(const double* v, const double* summary, const MotionRecord& motion) const {
+        if (!is_active()) return false;
         return summary[ContactSummary::violation] != 0.0 ||
-               (!covers_all_ && !(max_speed(v, plan_.count) <= 2.0 * speed_limit_));
+               (!covers_all_ && !(larger(motion.max_speed(), max_speed(v, plan_.count)) <= 2.0 * speed_limit_));
     }
     void disable() {
         plan_.contacts.activate_all();
@@ -149,21 +151,23 @@ private:
 /// the end of each run it must have been: on straight paths from the start, and backwards at the velocities there.
 ///
 /// Where that is not clear at the start, no pair may be nearer than the thickness and the distance covered at twice the
-/// largest relative speed, plus a margin. No run may end with a larger relative speed.
+/// largest relative speed, plus a margin. No step of a run may have a larger relative speed. That of a separated sheet
+/// may be twice the larger one of both ends.
 ///
 /// Otherwise all runs of the frame are repeated with self-contact. Cached pairs make no difference, so no bit depends
 /// on them.
 class SelfCulling {
 public:
     SelfCulling(Plan& plan, double duration, const double* x0, const double* v0);
-    /// Whether a run with positions x and velocities v at its end violates the assumptions. `is_next_start`: whether the
-    /// next frame starts at this end.
-    bool is_violated(const double* x, const double* v, bool is_next_start) const;
+    bool is_active() const { return plan_.self_culled; }
+    /// Whether a run with positions x and velocities v at its end, and this motion, violates the assumptions.
+    /// `is_next_start`: whether the next frame starts at this end.
+    bool is_violated(const double* x, const double* v, const MotionRecord& motion, bool is_next_start) const;
     void disable() { plan_.self_culled = false; }
 
 private:
     Plan& plan_;
-    const double* x0_;
+    const double *x0_, *v0_;
     double duration_, speed_limit_ = 0.0;
     bool is_separated_ = false;
 };
@@ -172,14 +176,15 @@ private:
 void activate_features(Plan& plan);
 void deactivate_features(Plan& plan);
 
-/// Excludes features of obstacles that stay away from the cloth from a frame. If a run ends with a larger speed than
+/// Excludes features of obstacles that stay away from the cloth from a frame. If a step of a run has a larger speed than
 /// assumed, all runs of the frame are repeated with all features.
 class FeatureCulling {
 public:
     FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0);
-    /// Whether a run with end velocities v violates the assumptions.
-    bool is_violated(const double* v) const {
-        return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_);
+    bool is_active() const { return plan_.features && !covers_all_; }
+    /// Whether a run with end velocities v and this motion violates the assumptions.
+    bool is_violated(const double* v, const MotionRecord& motion) const {
+        return is_active() && !(larger(motion.max_speed(), max_particle_speed(v)) <= speed_limit_);
     }
     void disable() {
         activate_features(plan_);

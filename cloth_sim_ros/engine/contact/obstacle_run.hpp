@@ -21,6 +21,8 @@ struct ParticleSlots {
 
 template <class T>
 class ObstacleRun {
+    using V = vec<T>;
+
 public:
     /// The particles of consecutive blocks are `pitch` numbers apart.
     ObstacleRun(Plan& plan, const Run& run, const double* origin, int threads, std::int64_t blocks, std::int64_t pitch,
@@ -107,6 +109,15 @@ public:
             if (is_jaw) jaws_.record_load(obstacle, index, step, jaw_load);
         }
     }
+    /// Record a violation if a block that is skipped is faster than assumed, by its squared speeds [m^2/s^2].
+    void check_speed(int thread, std::int64_t index, std::int64_t step, V square) {
+        ThreadState& state = threads_[thread];
+        for (const std::int64_t obstacle : contacts_.active) {
+            const SkipState& skip = state.skips[index * contacts_.count() + obstacle];
+            if (!(skip.speed > T(0)) || step >= skip.until) continue;
+            state.violated = state.violated || any(square > splat<V>(T(4) * skip.speed * skip.speed));
+        }
+    }
     /// The same for a block of particles as quads.
     void add_quads(int thread, std::int64_t index, std::int64_t step, const T* x, const T* v, T* f,
                    std::int64_t count) {
@@ -161,7 +172,6 @@ public:
     }
 
 private:
-    using V = vec<T>;
     using JawLoad = JawRun::JawLoad;
     /// Number of partial sums of a record, independent of the vector width.
     static constexpr int n_partials = 16;

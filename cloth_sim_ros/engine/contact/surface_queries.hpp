@@ -697,7 +697,7 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
 }
 
 SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0)
-    : plan_(plan), x0_(x0), duration_(duration) {
+    : plan_(plan), x0_(x0), v0_(v0), duration_(duration) {
     plan.self_culled = false;
     if (!plan.self) return;
     SelfContact& self = *plan.self;
@@ -711,9 +711,12 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
                        self.neighbors().has_no_pairs(positions.data(), plan.contacts.thickness, margin);
 }
 
-bool SelfCulling::is_violated(const double* x, const double* v, bool is_next_start) const {
+bool SelfCulling::is_violated(const double* x, const double* v, const MotionRecord& motion, bool is_next_start) const {
     if (!plan_.self_culled) return false;
-    if (!is_separated_) return !(max_relative_speed(plan_, v) <= speed_limit_);
+    const double end_speed = max_relative_speed(plan_, v), speed = larger(motion.max_relative_speed(), end_speed);
+    if (!is_separated_) return !(speed <= speed_limit_);
+    const double ends_speed = larger(max_relative_speed(plan_, v0_), end_speed);
+    if (!(speed <= 2.0 * ends_speed + SelfContact::speed_margin)) return true;
     return !plan_.self->stayed_separated(x0_, x, v, plan_.contacts.thickness, duration_, is_next_start);
 }
 

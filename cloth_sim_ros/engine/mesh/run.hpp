@@ -29,6 +29,7 @@ public:
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
         off_grid_.allocate(borders_);
         off_grid_.prepare_poses(threads_);
+        if (run.motion) run.motion->start<T>(run.steps, threads_);
         off_grid_.init_contact_by_ranks(threads_);
         const std::int64_t n = plan.count;
         velocity_.assign(4 * n, T(0));
@@ -139,6 +140,8 @@ private:
             }
         }
         if (!Evaluate && off_grid_.has_prescribed()) prescribe(step, thread);
+        if (!Evaluate && run_.motion)
+            off_grid_.record_motion(thread, step, velocity, borders_[thread], borders_[thread + 1]);
         if (run_.ends_first_half(step))
             std::copy(velocity + 4 * borders_[thread], velocity + 4 * borders_[thread + 1],
                       middle_.data() + 4 * borders_[thread]);

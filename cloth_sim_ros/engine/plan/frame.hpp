@@ -134,10 +134,14 @@ public:
         : plan_(plan), obstacles_(plan, frame.t, frame.duration, frame.x0, frame.v0),
           self_(plan, frame.duration, frame.x0, frame.v0),
           features_(plan, frame.t, frame.duration, frame.x0, frame.v0) {}
-    /// Whether a run violates the assumptions. `is_next_start`: whether the next frame starts at its end.
+    /// Whether runs leave anything out.
+    bool is_active() const { return obstacles_.is_active() || self_.is_active() || features_.is_active(); }
+    /// Whether a run, which records its motion, violates the assumptions. `is_next_start`: whether the next frame starts
+    /// at its end.
     bool is_violated(const Run& run, bool is_next_start) const {
-        return violates_obstacles(run) || self_.is_violated(run.x, run.v, is_next_start) ||
-               features_.is_violated(run.v);
+        if (!run.motion) return false;
+        return violates_obstacles(run) || self_.is_violated(run.x, run.v, *run.motion, is_next_start) ||
+               features_.is_violated(run.v, *run.motion);
     }
     /// Leave out no contact that the run concerns.
     void disable_for(const Run& run) {
@@ -148,7 +152,7 @@ public:
 
 private:
     bool violates_obstacles(const Run& run) const {
-        return run.contact_record && obstacles_.is_violated(run.v, run.contact_summary(plan_));
+        return run.contact_record && obstacles_.is_violated(run.v, run.contact_summary(plan_), *run.motion);
     }
     const Plan& plan_;
     contact::ObstacleCulling obstacles_;
@@ -159,9 +163,11 @@ private:
 /// Execute the runs of a frame. If a requested one violates the culling, all requested ones are repeated, so that their
 /// bits do not depend on their order. No bit of them depends on the others.
 inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
-    const std::vector<Run> runs = runs_of(plan, frame);
+    std::vector<Run> runs = runs_of(plan, frame);
     const auto requested = static_cast<std::size_t>(frame.combined);
     FrameCulling culling(plan, frame);
+    std::vector<MotionRecord> motions(culling.is_active() ? runs.size() : 0);
+    for (std::size_t k = 0; k < motions.size(); ++k) runs[k].motion = &motions[k];
     bool is_repeated = false, drops = false;
     for (std::size_t count = runs.size();; count = requested) {
         const bool is_concurrent = frame.concurrency > 1 && count > 1 && plan.has_independent_runs();

@@ -172,6 +172,48 @@ void OffGridForces<T>::add_contact(int thread, std::int64_t step, T* f) {
 }
 
 template <class T>
+void OffGridForces<T>::record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* v,
+                                         std::int64_t pitch) {
+    using V = vec<T>;
+    const std::int64_t columns = plan.grid->columns;
+    VelocityBounds<V> bounds;
+    if (columns >= lanes<T>) {
+        // The last vector overlaps the one before: there is no particle after the last.
+        for (std::int64_t j = 0; j < columns; j += lanes<T>) {
+            const T* const from = v + std::min(j, columns - lanes<T>);
+            bounds.include(Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)});
+        }
+    } else {
+        for (std::int64_t j = 0; j < columns; ++j)
+            bounds.include(Vec3<V>{splat<V>(v[j]), splat<V>(v[pitch + j]), splat<V>(v[2 * pitch + j])});
+    }
+    record_block_motion(thread, row, step, bounds);
+}
+
+template <class T>
+void OffGridForces<T>::record_motion(int thread, std::int64_t step, const T* v, std::int64_t first, std::int64_t last) {
+    using V = vec<T>;
+    for (std::int64_t begin = first; begin < last; begin += contact_block) {
+        quad<T> low = load4(v + 4 * begin), high = low;
+        for (std::int64_t i = begin; i < std::min(begin + contact_block, last); ++i) {
+            low = smaller(load4(v + 4 * i), low);
+            high = larger(load4(v + 4 * i), high);
+        }
+        VelocityBounds<V> bounds;
+        bounds.include({splat<V>(low[0]), splat<V>(low[1]), splat<V>(low[2])},
+                       {splat<V>(high[0]), splat<V>(high[1]), splat<V>(high[2])});
+        record_block_motion(thread, begin / contact_block, step, bounds);
+    }
+}
+
+template <class T>
+void OffGridForces<T>::record_block_motion(int thread, std::int64_t block, std::int64_t step,
+                                           const VelocityBounds<vec<T>>& bounds) {
+    run.motion->include<T>(thread, step, bounds);
+    if (contact) contact->check_speed(thread, block, step, bounds.max_square());
+}
+
+template <class T>
 void OffGridForces<T>::add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at,
                                       bool record) {
     const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;

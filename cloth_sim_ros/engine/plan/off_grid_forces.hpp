@@ -87,6 +87,11 @@ struct OffGridForces {
     void advance_jaws(int thread, std::int64_t step);
     /// Add contact with obstacles to the particles of a partition.
     void add_contact(int thread, std::int64_t step, T* f);
+    /// Record the velocities of a row of the sheet after a step, or of a partition's particles as quads, if the run
+    /// records its motion. Blocks that contact skips must not be faster than assumed.
+    void record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* v, std::int64_t pitch);
+    void record_motion(int thread, std::int64_t step, const T* v, std::int64_t first, std::int64_t last);
+    void record_block_motion(int thread, std::int64_t block, std::int64_t step, const VelocityBounds<vec<T>>& bounds);
     /// Add the forces of contact, grippers, lists and callback to the force row of a sheet's row.
     void add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
     /// Position, relative to the origin, and velocity of a particle.

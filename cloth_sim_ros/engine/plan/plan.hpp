@@ -18,6 +18,7 @@
 #include "mesh/elements.hpp"
 #include "plan/frame_request.hpp"
 #include "plan/grips.hpp"
+#include "plan/motion_record.hpp"
 #include "plan/workspace.hpp"
 
 namespace cloth::contact {
@@ -213,6 +214,7 @@ struct Run {
     double previous_ratio = 0.0;          ///< length of the run relative to that interval
     int workspace = 0;                    ///< index of the workspace
     double* plastic_lengths = nullptr;    ///< at the end, or null
+    MotionRecord* motion = nullptr;       ///< its velocities in each step, or null
 
     /// The `ContactSummary` in the record.
     double* contact_summary(const Plan& plan) const { return contact_record + plan.contacts.count() * record_numbers; }

@@ -25,8 +25,9 @@ class ErrorEstimate:
     #: Errors of T_1, T_2, ... [m], and error that force jumps at the ends of the piece may cause [m].
     errors: list[float] = attrs.Factory(list)
     end_error: float = 0.0
-    #: Numbers of runs whose error is approximate.
+    #: Numbers of runs whose error is approximate; and errors [m] to which those of numbers of runs were raised.
     approximate: set[int] = attrs.Factory(set)
+    raised: dict[int, float] = attrs.Factory(dict)
     #: True if single precision does not resolve the error of further runs, which may suffice.
     needs_double: bool = False
 
@@ -52,8 +53,8 @@ class ErrorEstimate:
         errors.append(error)
 
     def replace(self, n_runs: int, error: float) -> None:
-        """Replace the approximate error of the combination of n_runs runs by an accurate one [m]."""
-        self.errors[n_runs - 1] = error
+        """Replace the approximate error of the combination of n_runs runs by an accurate one [m], not below a raise."""
+        self.errors[n_runs - 1] = max(error, self.raised.get(n_runs, 0.0))
         self.approximate.remove(n_runs)
 
     def confirm(self, rounding_floor: Callable[[int], float], measure: Callable[[int], float]) -> None:
@@ -71,7 +72,7 @@ class ErrorEstimate:
             if errors[k] > limit and k + 1 in self.approximate:
                 self.replace(k + 1, measure(k + 1))
             if errors[k] > limit:
-                errors[k - 1] = errors[k]
+                errors[k - 1] = self.raised[k] = errors[k]
 
     def confirmed_runs(
         self, n_runs: int, allowed: float, rounding_floor: Callable[[int], float], measure: Callable[[int], float]
