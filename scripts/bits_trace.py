@@ -177,6 +177,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_contact_gap_rows": ("i", ("h", "d", _X, _contacts)),
     "cloth_contact_growth_power": ("i", ("h", "d", _X, _X, _fixed(1))),
     "cloth_hinge_jerk": ("i", ("h", _X, _X, _X)),
+    "cloth_kink_velocities": ("i", ("h", _X, _X, _X, _X, _plastic, _plastic, "d", "d", _X)),
     "cloth_contact_jerk_change": ("i", ("h", "d", "d", _X, _X, _X, _X, _X)),
     "cloth_friction_change": ("i", ("h", "d", "d", _X, _X, _X, lambda _, plan: _anchors(plan), _particles(6))),
     "cloth_contact_limits": ("i", ("h", "d", _fixed(2))),
