@@ -199,7 +199,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_prescribe": ("i", ("h", "d", _X, _X, lambda _, plan: binding.RECORD_NUMBERS * plan["grippers"])),
     "cloth_velocity_displacement": ("i", ("h", "d", _X, _X, "d", _fixed(2))),
     "cloth_spectral_bounds": ("i", ("h", _X, _B, _B, "i", _fixed(5))),
-    "cloth_turn_in_step": ("i", ("h", _X, _X, "i", _fixed(1))),
+    "cloth_turn_in_step": ("i", ("h", _X, _X, "i", "i", _fixed(1))),
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
     "cloth_eigenvalues": ("i", (_argument_size(6, 1), "i", _argument_size(1, 1))),
     "cloth_derivative_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),

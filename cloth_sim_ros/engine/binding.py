@@ -171,7 +171,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_ccd_self": (_INT, _P, _P, _P, _P),
     "cloth_velocity_displacement": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_spectral_bounds": (_INT, _P, _P, _P, _P, _I, _P),
-    "cloth_turn_in_step": (_INT, _P, _P, _P, _I, _P),
+    "cloth_turn_in_step": (_INT, _P, _P, _P, _I, _I, _P),
     "cloth_bounds": (_INT, _P, _P, _P, _P),
     "cloth_eigenvalues": (_INT, _P, _I, _P),
     "cloth_derivative_product": (_INT, _P, _D, _P, _P, _P, _P, _P),

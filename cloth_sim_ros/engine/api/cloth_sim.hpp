@@ -108,7 +108,8 @@ CLOTH_API int cloth_prescribe(Plan* plan, double t, double* x, double* v, double
 CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp,
                                     std::int64_t hinges, double* out);
 /// Angle [rad] of plan::turn_in_step.
-CLOTH_API int cloth_turn_in_step(const Plan* plan, const double* x0, const double* x, std::int64_t steps, double* out);
+CLOTH_API int cloth_turn_in_step(const Plan* plan, const double* x0, const double* x, std::int64_t steps,
+                                 std::int64_t runs, double* out);
 CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp);
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out);
 CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,

@@ -198,8 +198,9 @@ CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* s
         std::copy(numbers, numbers + 5, out);
     });
 }
-CLOTH_API int cloth_turn_in_step(const Plan* plan, const double* x0, const double* x, std::int64_t steps, double* out) {
-    return guarded(plan, [&] { *out = plan::turn_in_step(*plan, x0, x, steps); });
+CLOTH_API int cloth_turn_in_step(const Plan* plan, const double* x0, const double* x, std::int64_t steps,
+                                 std::int64_t runs, double* out) {
+    return guarded(plan, [&] { *out = plan::turn_in_step(*plan, x0, x, steps, runs); });
 }
 CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp) {
     return guarded(plan, [&] { plan::add_bounds(*plan, x, stiff, damp); });

@@ -228,7 +228,7 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& request) {
             plan.prescribed_start[3 * n + at] = x[3 * n + at];
         }
     frame.summary[0] = largest_distance(x + 3 * n, frame.v0, n);
-    frame.summary[9] = turn_in_step(plan, frame.x0, x, frame.steps[0]);
+    frame.summary[9] = turn_in_step(plan, frame.x0, x, frame.steps[0], frame.combined);
     frame.summary[10] = 0.0;
     if (frame.previous_v0)
         frame.summary[10] = change_from_before(plan, x + 3 * n, frame.v0, frame.previous_v0, frame.previous_ratio);

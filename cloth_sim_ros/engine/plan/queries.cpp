@@ -43,11 +43,14 @@ Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     return e;
 }
 
-double turn_in_step(const Plan& plan, const double* x0, const double* x, std::int64_t steps) {
+double turn_in_step(const Plan& plan, const double* x0, const double* x, std::int64_t steps, std::int64_t runs) {
     double square = 0.0;
     if (plan.grid) square = grid_turn2(*plan.grid, plan.tables, x0, x, steps);
-    for (const List& list : plan.lists)
+    for (const List& list : plan.lists) {
         if (list.kind == Kind::spring) square = std::max(square, list_turn2(list, x0, x, plan.count, steps));
+        if (runs > 1 && has_divisor(list.kind))
+            square = std::max(square, vanishing_turn2(list, x0, x, plan.count, static_cast<double>(steps)));
+    }
     return root(square);
 }
 

@@ -65,8 +65,9 @@ struct SpectralBounds {
 SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges);
 
 /// Largest angle [rad] by which a spring turns in a step of an interval, if its vector changes steadily. Its force turns
-/// round as its ends pass each other.
-double turn_in_step(const Plan& plan, const double* x0, const double* x, std::int64_t steps);
+/// round as its ends pass each other. Of combined runs, also that of a panel's normal, and of the vector by whose length
+/// a hinge divides, where these nearly vanish.
+double turn_in_step(const Plan& plan, const double* x0, const double* x, std::int64_t steps, std::int64_t runs);
 
 /// Blocks of a list of springs or joints, in its own order, (count, 6): k dd' without the transverse part of
 /// compression, and those of their damping, each with its weight.

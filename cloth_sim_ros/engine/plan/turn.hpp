@@ -2,7 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Angle by which springs turn in a step. A spring of rest length above 0 turns its force round as its ends pass each
-// other. Steps that do not resolve this sample the force before and after it only.
+// other. Steps that do not resolve this sample the force before and after it only. So do the normals of panels, and the
+// vectors by whose length hinges divide.
 #pragma once
 
 #include "grid/queries.hpp"
@@ -27,6 +28,57 @@ inline double list_turn2(const List& list, const double* x0, const double* x, st
         const mesh::ElementState<laws::Spring> start(list, e, x0, nullptr, n), end(list, e, x, nullptr, n);
         largest = std::max(largest, turn2(start.d[0], end.d[0], static_cast<double>(steps)));
     }
+    return largest;
+}
+
+/// Vectors by whose common length a panel or a hinge divides, and what else adds to its square.
+struct Divisor {
+    Vec3<double> vectors[3] = {};
+    double floor2 = 0.0;
+
+    Divisor(const List& list, std::int64_t e, const double* x, std::int64_t n) {
+        const std::int64_t* const p = list.corners.data() + e * list.width;
+        const Vec3<double> a = particle(x, n, p[0]), b = particle(x, n, p[1]) - a, c = particle(x, n, p[2]) - a;
+        if (list.width == 3) {
+            vectors[0] = cross(b, c);
+            return;
+        }
+        const Vec3<double> d = particle(x, n, p[3]) - a;
+        if (list.kind == mesh::Kind::crossed) {
+            const double share = laws::CrossedAreas::parallel * norm2(b);
+            vectors[0] = cross(b, d - c), floor2 = share * share;
+        } else if (list.kind == mesh::Kind::altitude) {
+            vectors[0] = cross(c, d), vectors[1] = cross(d, b), vectors[2] = cross(b, c);
+        } else {
+            vectors[0] = cross(c, d - b);
+        }
+    }
+};
+
+/// Squared angle by which a divisor turns in a step if it falls below half of its length between the ends, else 0.
+inline double vanishing_turn2(const Divisor& start, const Divisor& end, double steps) {
+    double change2 = 0.0, approach = 0.0, start2 = 0.0, end2 = 0.0, least2 = larger(start.floor2, end.floor2);
+    for (int k = 0; k < 3; ++k) {
+        const Vec3<double> change = end.vectors[k] - start.vectors[k];
+        change2 += norm2(change), approach -= dot(start.vectors[k], change);
+        start2 += norm2(start.vectors[k]), end2 += norm2(end.vectors[k]);
+    }
+    if (!(change2 > 0.0)) return 0.0;
+    const double half_step = 0.5 / steps, nearest = smaller(larger(approach / change2, -half_step), 1.0 + half_step),
+                 most2 = smaller(start2 + start.floor2, end2 + end.floor2);
+    for (int k = 0; k < 3; ++k) least2 += norm2(fma(nearest, end.vectors[k] - start.vectors[k], start.vectors[k]));
+    if (least2 > 0.25 * most2) return 0.0;
+    return change2 / (steps * steps * larger(least2, 1e-30 * change2));
+}
+
+/// Whether elements of a kind divide by a length that may vanish.
+inline bool has_divisor(mesh::Kind kind) {
+    return mesh::is_panel(kind) || mesh::is_mass(kind) || kind == mesh::Kind::crossed || kind == mesh::Kind::altitude;
+}
+inline double vanishing_turn2(const List& list, const double* x0, const double* x, std::int64_t n, double steps) {
+    double largest = 0.0;
+    for (std::int64_t e = 0; e < list.count; ++e)
+        largest = larger(vanishing_turn2(Divisor(list, e, x0, n), Divisor(list, e, x, n), steps), largest);
     return largest;
 }
 

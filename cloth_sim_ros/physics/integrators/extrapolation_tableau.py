@@ -174,7 +174,7 @@ class ExtrapolationTableau:
             if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, finest, x, memory):
                 activity = math.inf
         omega2, damping, *hinge_bounds = self._plan.detailed_spectral_bounds(x, hinges=self.ratio > 1)
-        turn = self._plan.turn_in_step(self._start.x, x, self.counts[0])
+        turn = self._plan.turn_in_step(self._start.x, x, self.counts[0], n_runs)
         from_before = 0.0
         if self._before is not None:
             v0, ratio = self._start.v, self.duration / self._before[1]

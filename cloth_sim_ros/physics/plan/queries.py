@@ -99,20 +99,23 @@ class PlanQueries:
         bounds: list[float] = out.tolist()
         return bounds
 
-    def turn_in_step(self, x0: Array, x: Array, steps: int) -> float:
+    def turn_in_step(self, x0: Array, x: Array, steps: int, n_runs: int = 1) -> float:
         """Return the largest angle [rad] by which a spring turns in one of an interval's steps.
 
         Each spring's vector is assumed to change steadily over the interval, and half a step before and after. The
         angle is the one at its shortest length. A spring (S1) turns its force round as its ends pass each other.
+        Normals of panels, and the vectors by whose length hinges divide, count for combined runs where they nearly
+        vanish.
 
         Args:
             x0: positions at the start [m], shape (3, n).
             x: positions at the end [m], shape (3, n).
             steps: number of steps.
+            n_runs: number of combined runs.
         """
         out = np.empty(1)
         addresses = float64_address("x0", x0, self._shape), float64_address("x", x, self._shape)
-        check(self._library.cloth_turn_in_step(self._handle, *addresses, steps, address(out)))
+        check(self._library.cloth_turn_in_step(self._handle, *addresses, steps, n_runs, address(out)))
         return float(out[0])
 
     def velocity_displacement(self, t: float, x: Array, errors: Array, time: float) -> tuple[float, int]:
