@@ -13,6 +13,7 @@ import math
 from typing import Any
 
 import numpy as np
+from support.error_bound import SPRINGS
 
 from cloth_sim_ros import Grasp, Scene, Target
 from validation.tolerance.climb_scenes import DURATION, Trial, evaluate_frames, evaluate_trial
@@ -22,17 +23,6 @@ from validation.tolerance.random_scenes import RandomScene, log_uniform
 _FINE, _ROUGH = 1e-13, 1e-12
 #: Size of perturbations relative to the tolerance, and their smallest size [m, m/s].
 _PERTURBATION_FRACTION, _MIN_PERTURBATION = 0.1, 1e-8
-#: Parameters of a scene of raw springs without air.
-_SPRINGS = {
-    "cloth.springs": "springs.yaml",
-    "cloth.anchors": ["0"],
-    "cloth.size": [1.0, 1e-6],
-    "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
-    "bending.model": "none",
-    "air.drag": 0.0,
-    "wind.normal_drag": 0.0,
-    "grippers": [""],
-}
 #: Tables of springs without a spring.
 _NO_SPRINGS = {"masses": 1.0, "springs": [], "rest_lengths": 1.0, "stiffness": 1.0}
 
@@ -243,7 +233,7 @@ def _spring_scene(
 ) -> Scene:
     """Return a scene of raw springs; an obstacle "thing" has a position [m] in the frame of the springs' file."""
     files = {"springs.yaml": json.dumps(tables).encode(), **(files or {})}
-    values = {**_SPRINGS, **values}
+    values = {**SPRINGS, **values}
     if obstacle_position is None:
         return Scene.from_parameters(values, files=files)
     sheet = {key: value for key, value in values.items() if not key.startswith(("thing.", "contact."))}
