@@ -553,6 +553,20 @@ def test_accelerated_grip_in_implicit_steps_is_within_tolerance(stiffness: float
             "crossed",
             1.36,
         ),
+        # It turns round while it yields, before any run samples it.
+        (
+            44.0,
+            1.99706571e-08,
+            0.428424239,
+            1.0910206137821585,
+            0.232625558,
+            (5.97350828, 0.0),
+            2.5803839274453466,
+            0.50148622,
+            (0.00541202277, 0.008432241313963583, 0.451636239),
+            "crossed",
+            1.32,
+        ),
     ],
 )
 def test_hinge_with_friction_is_within_tolerance(

@@ -59,18 +59,25 @@ struct BendingFriction {
         const V deflection = h - p.plastic_length;
         return select(deflection > p.reach, h - p.reach, select(deflection < -p.reach, h + p.reach, p.plastic_length));
     }
-    /// Largest jumps of the rate of the tension [N/s] at kinks within a step [s] after the start, and before the end, of an
-    /// interval of a duration [s]. Signed lengths, their rates and plastic lengths at both ends are known. A hinge that
-    /// yields from half a step before to half a step after has no kink.
+    /// What runs may miss at a kink: a jump of the tension's rate [N/s], and the tension [N] by a plastic length.
+    struct Kink {
+        double jump = 0.0, tension = 0.0;
+    };
+    /// Kinks within a step [s] after the start, and before the end, of an interval of a duration [s]. Signed lengths, their
+    /// rates and plastic lengths at both ends are known. A hinge that yields from half a step before to half a step after
+    /// has no kink. One that turns round while it yields within half a step, at the rate c in a step, moves its plastic
+    /// length by up to c step / 8, which no run samples; it counts twice.
     static void kinks(const Params<double>& p, const double (&h)[2], const double (&rate)[2],
-                      const double (&plastic)[2], double duration, double step, double (&jump)[2]) {
+                      const double (&plastic)[2], double duration, double step, Kink (&kink)[2]) {
         const double change = absolute(rate[1] - rate[0]) / duration * step;
         const bool yields_long = absolute(plastic[1] - plastic[0]) > absolute(rate[1]) * step;
         for (int end = 0; end < 2; ++end) {
             const double deflection = h[end] - plastic[end], speed = absolute(rate[end]) + change,
                          left = p.reach - absolute(deflection), outward = deflection < 0.0 ? -rate[end] : rate[end];
             const bool yields = left <= 1e-6 * p.reach && outward > change && (end == 0 || yields_long);
-            jump[end] = left <= speed * step && !yields ? p.k * speed : 0.0;
+            kink[end].jump = left <= speed * step && !yields ? p.k * speed : 0.0;
+            const bool turns = left <= 1e-6 * p.reach + change * step && absolute(rate[end]) <= 2.0 * change;
+            kink[end].tension = turns ? p.k * (0.25 * change * step) : 0.0;
         }
     }
     /// Energy [J] that a change of the plastic length dissipates.
