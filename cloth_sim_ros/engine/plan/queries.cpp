@@ -127,64 +127,67 @@ void add_larger(double* out, std::int64_t n, std::int64_t i, Vec3<double> part) 
     const Vec3<double> sum = particle(out, n, i), next = dot(sum, part) < 0.0 ? sum - part : sum + part;
     out[i] = next.x, out[n + i] = next.y, out[2 * n + i] = next.z;
 }
+
+/// Add the kinks of membranes whose strains meet a limit of stiffening.
+void add_stiffening_kinks(const Plan& plan, const List& list, const Interval& interval, double* out) {
+    const std::int64_t n = plan.count;
+    const double step = interval.step, snap_time = step * step * step / 48.0;
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const ElementState<StiffeningMembrane> start(list, e, interval.x0, interval.v0, n),
+            end(list, e, interval.x1, interval.v1, n);
+        double strain[2][3], rate[2][3];
+        StiffeningMembrane::strains(start.params, start.d, start.u, strain[0], rate[0]);
+        StiffeningMembrane::strains(end.params, end.d, end.u, strain[1], rate[1]);
+        for (int k = 0; k < 3; ++k) {
+            const double strains[2] = {strain[0][k], strain[1][k]}, rates[2] = {rate[0][k], rate[1][k]};
+            const double jump = StiffeningMembrane::limit_jump(end.params, k, strains, rates, interval.duration, step);
+            if (!(jump > 0.0)) continue;
+            Vec3<double> gradient[3];
+            StiffeningMembrane::gradients(end.params, end.d, k, gradient);
+            for (int c = 0; c < 3; ++c) {
+                const std::int64_t i = list.corners[3 * e + c];
+                add_larger(out, n, i, jump * snap_time * plan.free_inverse[i] * gradient[c]);
+            }
+        }
+    }
+}
+
+/// Add the kinks of hinges with friction that begin or cease to yield.
+void add_yield_kinks(const Plan& plan, const List& list, const Interval& interval, double* out) {
+    const std::int64_t n = plan.count;
+    // A constant force displaces by a/6 in the mean over a second's errors, as a velocity of a/3 does in half a second.
+    const double step = interval.step, jerk_time = step * step / 8.0, offset_time = 1.0 / 3.0;
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const ElementState<BendingFriction> ends[2] = {{list, e, interval.x0, interval.v0, n},
+                                                       {list, e, interval.x1, interval.v1, n}};
+        const laws::Crossed::Length<double> lengths[2] = {laws::Crossed::length(ends[0].d),
+                                                          laws::Crossed::length(ends[1].d)};
+        const double h[2] = {lengths[0].h, lengths[1].h}, plastic[2] = {interval.plastic0[e], interval.plastic1[e]};
+        double rates[2] = {};
+        for (int k = 0; k < 2; ++k)
+            for (int c = 0; c < 3; ++c) rates[k] += dot(lengths[k].gradient[c], ends[k].u[c]);
+        BendingFriction::Kink kinks[2];
+        BendingFriction::kinks(ends[0].params, h, rates, plastic, interval.duration, step, kinks);
+        for (int k = 0; k < 2; ++k) {
+            const double impulse = fma(jerk_time, kinks[k].jump, offset_time * kinks[k].tension);
+            if (!(impulse > 0.0)) continue;
+            const Vec3<double>* const g = lengths[k].gradient;
+            const Vec3<double> gradient[4] = {-(g[0] + g[1] + g[2]), g[0], g[1], g[2]};
+            for (int c = 0; c < 4; ++c) {
+                const std::int64_t i = list.corners[4 * e + c];
+                add_larger(out, n, i, impulse * plan.free_inverse[i] * gradient[c]);
+            }
+        }
+    }
+}
 }  // namespace
 
 void kink_velocities(const Plan& plan, const Interval& interval, double* out) {
-    const std::int64_t n = plan.count;
-    // A constant force displaces by a/6 in the mean over a second's errors, as a velocity of a/3 does in half a second.
-    const double step = interval.step, snap_time = step * step * step / 48.0, jerk_time = step * step / 8.0,
-                 offset_time = 1.0 / 3.0;
-    std::fill_n(out, 3 * n, 0.0);
+    std::fill_n(out, 3 * plan.count, 0.0);
     for (std::int64_t index = 0; index < std::int64_t(plan.lists.size()); ++index) {
         const List& list = plan.lists[index];
-        const std::int64_t* const corners = list.corners.data();
-        if (list.kind == Kind::stiffening_membrane) {
-            for (std::int64_t e = 0; e < list.count; ++e) {
-                const ElementState<StiffeningMembrane> start(list, e, interval.x0, interval.v0, n),
-                    end(list, e, interval.x1, interval.v1, n);
-                double strain[2][3], rate[2][3];
-                StiffeningMembrane::strains(start.params, start.d, start.u, strain[0], rate[0]);
-                StiffeningMembrane::strains(end.params, end.d, end.u, strain[1], rate[1]);
-                for (int k = 0; k < 3; ++k) {
-                    const double strains[2] = {strain[0][k], strain[1][k]}, rates[2] = {rate[0][k], rate[1][k]};
-                    const double jump =
-                        StiffeningMembrane::limit_jump(end.params, k, strains, rates, interval.duration, step);
-                    if (!(jump > 0.0)) continue;
-                    Vec3<double> gradient[3];
-                    StiffeningMembrane::gradients(end.params, end.d, k, gradient);
-                    for (int c = 0; c < 3; ++c) {
-                        const std::int64_t i = corners[3 * e + c];
-                        add_larger(out, n, i, jump * snap_time * plan.free_inverse[i] * gradient[c]);
-                    }
-                }
-            }
-        } else if (index == plan.plastic_list) {
-            for (std::int64_t e = 0; e < list.count; ++e) {
-                const ElementState<BendingFriction> ends[2] = {{list, e, interval.x0, interval.v0, n},
-                                                               {list, e, interval.x1, interval.v1, n}};
-                const laws::Crossed::Length<double> lengths[2] = {laws::Crossed::length(ends[0].d),
-                                                                  laws::Crossed::length(ends[1].d)};
-                const double h[2] = {lengths[0].h, lengths[1].h},
-                             plastic[2] = {interval.plastic0[e], interval.plastic1[e]};
-                double rates[2];
-                BendingFriction::Kink kinks[2];
-                for (int k = 0; k < 2; ++k) {
-                    rates[k] = 0.0;
-                    for (int c = 0; c < 3; ++c) rates[k] += dot(lengths[k].gradient[c], ends[k].u[c]);
-                }
-                BendingFriction::kinks(ends[0].params, h, rates, plastic, interval.duration, step, kinks);
-                for (int k = 0; k < 2; ++k) {
-                    const double impulse = fma(jerk_time, kinks[k].jump, offset_time * kinks[k].tension);
-                    if (!(impulse > 0.0)) continue;
-                    const Vec3<double>* const g = lengths[k].gradient;
-                    const Vec3<double> gradient[4] = {-(g[0] + g[1] + g[2]), g[0], g[1], g[2]};
-                    for (int c = 0; c < 4; ++c) {
-                        const std::int64_t i = corners[4 * e + c];
-                        add_larger(out, n, i, impulse * plan.free_inverse[i] * gradient[c]);
-                    }
-                }
-            }
-        }
+        if (list.kind == Kind::stiffening_membrane) add_stiffening_kinks(plan, list, interval, out);
+        if (index == plan.plastic_list) add_yield_kinks(plan, list, interval, out);
     }
 }
 
