@@ -359,6 +359,38 @@ def test_spring_that_swings_to_a_plane_and_back_within_a_frame() -> None:
     assert error_by_evaluations(frames) <= tolerance
 
 
+def test_triangle_that_swings_to_a_ball_and_back_within_a_frame() -> None:
+    # As above, with a ball below the middle of a triangle, which no corner touches.
+    tolerance, rate, thickness, damping, extent, radius = 1e-6, 30.0, 0.04, 0.05, 0.4, 0.05
+    frequency, height = 2.0 * np.pi * rate, 0.25 / rate + 0.5 * thickness + 0.0005
+    amplitude = (height - 0.25 * thickness) / (1.0 + np.exp(-np.pi * damping / (1.0 - damping**2) ** 0.5))
+    corners = np.array([[-extent, -extent, height], [extent, -extent, height], [0.0, extent, height]])
+    springs = {
+        "positions": [*corners.tolist(), *np.add(corners, [0.0, 0.0, 1.0 - amplitude]).tolist()],
+        "masses": 1.0,
+        "springs": [[0, 3], [1, 4], [2, 5]],
+        "rest_lengths": 1.0,
+        "stiffness": frequency**2,
+        "k_d0": 2.0 * damping,
+        "triangles": [[0, 1, 2]],
+    }
+    parameters = {**SPRINGS, "rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, 0.0]}
+    parameters["cloth.anchors"] = ["3", "4", "5"]
+    files = {"springs.yaml": json.dumps(springs).encode()}
+    start = Scene.from_parameters(parameters, files=files).starting_state().positions[0]
+    parameters |= {
+        "obstacles": ["ball"],
+        "ball.shape": "sphere",
+        "ball.size": [radius],
+        "ball.position": (start - corners[0] - [0.0, 0.0, radius]).tolist(),
+        "ball.friction": [0.0],
+        "contact.thickness": thickness,
+        "contact.damping": 0.0,
+    }
+    frames = unflagged_frames(Scene.from_parameters(parameters, files=files), 10, {})
+    assert error_by_evaluations(frames) <= tolerance
+
+
 def test_layer_that_bounces_within_a_frame_is_within_tolerance() -> None:
     # Found by a climb. A damped bounce off another layer lasts for a part of a frame. The contact energy of a particle
     # at rest and a particle that swings hide it.
