@@ -15,6 +15,7 @@ from cloth_sim_ros.physics.control.controller import Controller
 from cloth_sim_ros.physics.control.error import ErrorRule, coefficient_of
 from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
+from cloth_sim_ros.physics.control.force_jump import missed_velocity_change
 from cloth_sim_ros.physics.control.frame_totals import FrameTotals
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
@@ -300,6 +301,25 @@ def test_approximate_error_is_measured_before_it_raises_another(accurate: float,
     estimate.confirm(lambda n_runs: 1e-15, lambda n_runs: accurate)
     assert estimate.errors == expected
     assert not estimate.approximate
+
+
+class KinkedPlan:
+    """Accelerations [m/s^2] that rise with the time after a kink [s], raised to a power."""
+
+    def __init__(self, kink: float, power: int) -> None:
+        self.kink, self.power = kink, power
+
+    def accelerations(self, t: float, x: Array, v: Array, out: Array, memory: dict[str, Array]) -> None:
+        out[:] = (t - self.kink) ** self.power if t > self.kink else 0.0
+
+
+@pytest.mark.parametrize("power", [0, 1, 2])
+def test_kink_anywhere_in_the_last_half_step_shows(power: int) -> None:
+    state = State(np.zeros((1, 3)))
+    for elapsed in np.linspace(0.02, 1.0, 50):
+        plan: Any = KinkedPlan(1.0 - elapsed, power)
+        missed = elapsed ** (power + 1) / (power + 1)
+        assert np.abs(missed_velocity_change(plan, state, 1.0, 1.0)).max() >= missed / 7.0
 
 
 def test_raised_error_stays_where_it_is_measured_afterwards() -> None:

@@ -611,7 +611,7 @@ def test_hinge_with_friction_is_within_tolerance(
     }
     scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
     frames = unflagged_frames(scene, round(rate), {})
-    assert error_of_frames(frames, (4000, 7000), 0.3 * tolerance) <= tolerance * growth
+    assert error_of_frames(frames, (8000, 14000), 0.1 * tolerance) <= tolerance * growth
 
 
 def test_hinge_that_a_gripper_turns_round_is_within_tolerance() -> None:
