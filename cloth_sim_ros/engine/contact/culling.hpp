@@ -148,11 +148,10 @@ private:
 /// Excludes self-contact from a frame in which no part of the cloth comes near another, by one of two tests.
 ///
 /// A regular sheet must stay separated from itself (`SelfContact::stays_separated`) after the start of the frame. At
-/// the end of each run it must have been: on straight paths from the start, and backwards at the velocities there.
+/// the end of each run it must have been on its paths to the middle and from there (`SelfContact::stayed_separated`).
 ///
 /// Where that is not clear at the start, no pair may be nearer than the thickness and the distance covered at twice the
-/// largest relative speed, plus a margin. No step of a run may have a larger relative speed. That of a separated sheet
-/// may be twice the larger one of both ends.
+/// largest relative speed, plus a margin. No step of a run may have a larger relative speed.
 ///
 /// Otherwise all runs of the frame are repeated with self-contact. Cached pairs make no difference, so no bit depends
 /// on them.
@@ -160,14 +159,15 @@ class SelfCulling {
 public:
     SelfCulling(Plan& plan, double duration, const double* x0, const double* v0);
     bool is_active() const { return plan_.self_culled; }
+    /// Whether the first test applies.
+    bool is_separated() const { return is_separated_; }
     /// Whether a run with positions x and velocities v at its end, and this motion, violates the assumptions.
-    /// `is_next_start`: whether the next frame starts at this end.
-    bool is_violated(const double* x, const double* v, const MotionRecord& motion, bool is_next_start) const;
+    bool is_violated(const double* x, const double* v, const MotionRecord& motion) const;
     void disable() { plan_.self_culled = false; }
 
 private:
     Plan& plan_;
-    const double *x0_, *v0_;
+    const double* x0_;
     double duration_, speed_limit_ = 0.0;
     bool is_separated_ = false;
 };

@@ -202,8 +202,8 @@ public:
             if (lists) lists->caches = caches;
     }
 
-    /// Distance [m] that a sheet must keep from itself in a frame of a duration [s], if runs skip contact. It covers
-    /// what paths in the frame deviate from straight ones.
+    /// Distance [m] that a sheet must keep from itself at the velocities at the start of a frame of a duration [s], so
+    /// that runs skip contact. It leaves paths room to deviate.
     static double separation_needed(double thickness, double duration) { return thickness + speed_margin * duration; }
     /// Whether a regular sheet at positions x and velocities v, (3, n), stays separated from itself for a duration [s]
     /// at these velocities. False if that is not clear without a search for pairs.
@@ -214,24 +214,23 @@ public:
         const auto is_same = [&](const Array<double>& a, const double* b) {
             return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
         };
-        if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v)))
-            keep_check(x, v, limits, separation.separated_motions(x, {{v, duration}}, limits[1]) != 0);
+        if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v))) {
+            checked_limits_ = limits;
+            checked_x_.assign(x, x + size);
+            checked_v_.assign(v, v + size);
+            is_separated_ = separation.separated_motions(x, {{v, duration}}, limits[1]) != 0;
+        }
         return is_separated_;
     }
-    /// Whether a sheet that `stays_separated` has done so on its way from positions x0 to x and velocities v at the end
-    /// of a frame: on straight paths, and backwards from the end at the velocities v. `is_next_start`: whether the next
-    /// frame starts at this end.
-    bool stayed_separated(const double* x0, const double* x, const double* v, double thickness, double duration,
-                          bool is_next_start) {
-        const double needed = separation_needed(thickness, duration);
-        way_back_.resize(3 * static_cast<std::size_t>(surface.count));
-        for (std::size_t k = 0; k < way_back_.size(); ++k) way_back_[k] = x0[k] - x[k];
-        const SheetSeparation::Motion straight{way_back_.data(), 1.0}, backwards{v, -duration}, next{v, duration};
-        if (!is_next_start) return separation.separated_motions(x, {straight, backwards}, needed) == 3;
-        const unsigned separated = separation.separated_motions(x, {straight, backwards, next}, needed);
-        // It takes more work than the motion alone, so a failure says nothing.
-        if (separated >> 2) keep_check(x, v, {duration, needed}, true);
-        return (separated & 3) == 3;
+    /// Whether a sheet keeps the thickness [m] from itself on its paths from positions x0 to a middle and from there to
+    /// x. Particles deviate from straight paths by up to these distances [m], (n,).
+    bool stayed_separated(const double* x0, const double* middle, const double* x, const std::vector<double>& to_middle,
+                          const std::vector<double>& from_middle, double thickness) {
+        ways_.resize(6 * static_cast<std::size_t>(surface.count));
+        double* const way = ways_.data() + ways_.size() / 2;
+        for (std::size_t k = 0; k < ways_.size() / 2; ++k) ways_[k] = x0[k] - middle[k], way[k] = x[k] - middle[k];
+        return separation.separated_motions(
+                   middle, {{ways_.data(), 1.0, to_middle.data()}, {way, 1.0, from_middle.data()}}, thickness) == 3;
     }
     /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact
     /// with itself. False for any other surface.
@@ -240,18 +239,11 @@ public:
     static constexpr double speed_margin = 0.1;
 
 private:
-    void keep_check(const double* x, const double* v, const std::array<double, 2>& limits, bool is_separated) {
-        const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
-        checked_limits_ = limits;
-        checked_x_.assign(x, x + size);
-        checked_v_.assign(v, v + size);
-        is_separated_ = is_separated;
-    }
     /// Arguments and result of `stays_separated`.
     std::array<double, 2> checked_limits_{-1.0, -1.0};
     Array<double> checked_x_, checked_v_;
-    /// Displacements of `stayed_separated` from the end of the frame to its start.
-    std::vector<double> way_back_;
+    /// Displacements of `stayed_separated` from the middle to the start and to the end.
+    std::vector<double> ways_;
     bool is_separated_ = false;
     std::array<std::unique_ptr<SelfVerletList>, plan::max_concurrency> neighbors_;
     bool caches_ = true;

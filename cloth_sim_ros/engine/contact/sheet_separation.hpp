@@ -41,14 +41,15 @@ public:
         }
     }
     bool applies() const { return !levels_.empty(); }
-    /// Motion of all particles at constant velocities, (3, n), for a duration [s]; backwards for a negative one.
+    /// Motion of all particles at constant velocities, (3, n), for a duration [s]; backwards for a negative one. Each
+    /// particle may deviate from it by up to a distance [m], (n,); null for none.
     struct Motion {
         const double* v;
         double duration;
+        const double* deviations = nullptr;
     };
-    /// The motions, among up to three from positions x, (3, n), that keep all pairs at least `needed` [m] apart: bit k
-    /// stands for the k-th. Motions beyond the second must have the second's velocities, and its duration but for the
-    /// sign. A motion is left out where that takes too much work, and for numbers beyond `largest`.
+    /// The motions, among one or two from positions x, (3, n), that keep all pairs at least `needed` [m] apart: bit k
+    /// stands for the k-th. A motion is left out where that takes too much work, and for numbers beyond `largest`.
     unsigned separated_motions(const double* x, std::initializer_list<Motion> motions, double needed) {
         if (!applies() || !measure(x, motions)) return 0;
         x_ = x, motions_ = {motions.begin(), motions.size()}, needed_ = (1.0 + rounding) * needed;
@@ -56,8 +57,7 @@ public:
         work_left_ = work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work;
         separated_ = (1u << motions.size()) - 1;
         for_each_bent_window([&](std::size_t l, std::int64_t r, std::int64_t c, unsigned bent) {
-            // The third motion bends a window as the second does.
-            checked_ = separated_ & (bent | (bent & 2u) << 1);
+            checked_ = separated_ & bent;
             if (checked_) l ? check_window(l - 1, 2 * r, 2 * c) : check_cells(r, c);
             return separated_ != 0;
         });
@@ -76,7 +76,7 @@ private:
     /// the position along columns, and along rows, by component; least and largest positions; least and largest
     /// velocities of two motions.
     static constexpr int first_derivative = 2, first_position = 14, first_speed = 20, planes = 32;
-    static constexpr std::size_t max_motions = 3;
+    static constexpr std::size_t max_motions = 2;
     static constexpr double rounding = 1e-6, largest = 1e30;
     /// Work limit, in pairs of blocks: beyond it a search for pairs is cheaper. Work of the pairs of some cells.
     static constexpr std::int64_t work_per_cell = 16, min_work = 4096, cells_work = 100;
@@ -201,8 +201,9 @@ private:
                 for (std::int64_t c = 0; c < cells.columns; c += lanes<double>)
                     visit(r * pitch_ + c, r * cells.pitch + c);
         };
-        for (std::size_t k = motions.size(); k < 2; ++k) std::fill(cells.plane[k].begin(), cells.plane[k].end(), 0.0);
-        for (std::size_t k = 0; k < std::min<std::size_t>(motions.size(), 2); ++k) {
+        for (std::size_t k = motions.size(); k < max_motions; ++k)
+            std::fill(cells.plane[k].begin(), cells.plane[k].end(), 0.0);
+        for (std::size_t k = 0; k < motions.size(); ++k) {
             const Motion& motion = motions.begin()[k];
             const double square = motion.duration * motion.duration;
             if (!(square < largest && copy(motion.v))) return false;
@@ -216,6 +217,16 @@ private:
                 const V derivative = larger(sums.top, sums.bottom) + larger(sums.left, sums.right);
                 store(cells.plane[k].data() + to, splat<V>(square) * derivative);
             });
+            if (!motion.deviations) continue;
+            // Deviations of the ends of a side change its derivative by up to their sum over its length.
+            if (!copy_deviations(motion.deviations)) return false;
+            const V factor = splat<V>(
+                2.0 * root(cloth::fma(1.0 / spacing_[0], 1.0 / spacing_[0], 1.0 / (spacing_[1] * spacing_[1]))));
+            for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
+                double* const plane = cells.plane[k].data() + to;
+                const V derivative = fma(factor, largest_deviation(from), root(load(plane)));
+                store(plane, derivative * derivative);
+            });
         }
         if (!copy(x)) return false;
         for (int k = 0; k < 3; ++k)
@@ -228,6 +239,23 @@ private:
             });
         cells.pad(0, first_position);
         return true;
+    }
+    /// Copy deviations into padded rows. Return whether all are finite and below `largest`.
+    bool copy_deviations(const double* from) {
+        deviation_.resize(component_[0].size());
+        double most = 0.0;
+        for (std::int64_t r = 0; r < rows_; ++r)
+            for (std::int64_t c = 0; c < columns_; ++c) {
+                const double deviation = from[r * columns_ + c];
+                deviation_[r * pitch_ + c] = deviation;
+                most = deviation <= most ? most : deviation;  // a deviation that is NaN is kept
+            }
+        return most < largest;
+    }
+    /// Largest deviations of the corners of a vector of cells.
+    CLOTH_INLINE vec<double> largest_deviation(std::int64_t corner) const {
+        const double *const at = deviation_.data() + corner, *const below = at + pitch_;
+        return larger(larger(load(at), load(at + 1)), larger(load(below), load(below + 1)));
     }
     /// Set least and largest numbers of each cell from `component_`.
     void bound_cells(int first) {
@@ -245,20 +273,35 @@ private:
                     store(high, larger(larger(a, b), larger(d, e)));
                 }
     }
-    /// Motions with planes of their own.
-    int n_planes() const { return static_cast<int>(std::min<std::size_t>(motions_.size(), 2)); }
+    /// Expand the boxes of the velocities of cells by what particles deviate.
+    void expand_cells(int first, const Motion& motion) {
+        using V = vec<double>;
+        Level& cells = levels_[0];
+        copy_deviations(motion.deviations);
+        const V per_time = splat<V>(1.0 / std::fabs(motion.duration));
+        for (std::int64_t r = 0; r < cells.rows; ++r)
+            for (std::int64_t c = 0; c < cells.columns; c += lanes<double>) {
+                const V width = per_time * largest_deviation(r * pitch_ + c);
+                for (int k = first; k < first + 6; ++k) {
+                    double* const at = cells.plane[k].data() + r * cells.pitch + c;
+                    store(at, k < first + 3 ? load(at) - width : load(at) + width);
+                }
+            }
+    }
+    int n_motions() const { return static_cast<int>(motions_.size()); }
     void build_boxes() {
         copy(x_);
         bound_cells(first_position);
-        for (int k = 0; k < n_planes(); ++k) {
+        for (int k = 0; k < n_motions(); ++k) {
             copy(motions_[k].v);
             bound_cells(first_speed + 6 * k);
+            if (motions_[k].deviations) expand_cells(first_speed + 6 * k, motions_[k]);
         }
-        const int end = first_speed + 6 * n_planes();
+        const int end = first_speed + 6 * n_motions();
         levels_[0].pad(first_position, end);
         for (std::size_t l = 1; l < levels_.size(); ++l) levels_[l].unite(levels_[l - 1], first_position, end);
         double approach = 0.0;
-        for (int k = 0; k < n_planes(); ++k) {
+        for (int k = 0; k < n_motions(); ++k) {
             double square = 0.0;
             for (int plane = first_speed + 6 * k; plane < first_speed + 6 * k + 3; ++plane) {
                 const auto &least = levels_.back().plane[plane], &most = levels_.back().plane[plane + 3];
@@ -341,7 +384,7 @@ private:
         // Usually the blocks are further apart than any parts can come nearer.
         if (gap_square >= far_square_) return true;
         double approach = 0.0;
-        for (int k = 0; k < n_planes(); ++k) {
+        for (int k = 0; k < n_motions(); ++k) {
             const double speed =
                 root(square_of(first_speed + 6 * k, [](double a, double b) CLOTH_INLINED { return smaller(a, b); }));
             approach = larger(std::fabs(motions_[k].duration) * speed, approach);
@@ -436,7 +479,14 @@ private:
                 for (int j = 1; j < split; ++j) shortest = smaller(displacement[j], shortest);
                 for (int j = split + 1; j < 4; ++j) longest = larger(displacement[j], longest);
                 // Without a distance, no direction is known.
-                const V closing = select(distance > V{}, larger(longest - shortest, V{}) / distance, V{});
+                V closing = select(distance > V{}, larger(longest - shortest, V{}) / distance, V{});
+                if (const double* const deviations = motions_[m].deviations)
+                    for (int lane = 0; lane < lanes<double>; ++lane) {
+                        const Corners& pair = pairs[std::min(k + lane, pairs.size() - 1)];
+                        double most[2]{};
+                        for (int j = 0; j < 4; ++j) most[j >= split] = larger(deviations[pair[j]], most[j >= split]);
+                        closing[lane] += most[0] + most[1];
+                    }
                 least[m] = smaller(distance - closing, least[m]);
             }
         }
@@ -461,6 +511,7 @@ private:
     /// levels have their boxes.
     const double* x_ = nullptr;
     std::span<const Motion> motions_;
+    std::vector<double> deviation_;  ///< of a motion, in padded rows
     double needed_ = 0.0;
     unsigned separated_ = 0, checked_ = 0;
     /// Squared distance of blocks [m^2] from which on no motion brings them nearer than needed.

@@ -697,7 +697,7 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
 }
 
 SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0)
-    : plan_(plan), x0_(x0), v0_(v0), duration_(duration) {
+    : plan_(plan), x0_(x0), duration_(duration) {
     plan.self_culled = false;
     if (!plan.self) return;
     SelfContact& self = *plan.self;
@@ -711,13 +711,12 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
                        self.neighbors().has_no_pairs(positions.data(), plan.contacts.thickness, margin);
 }
 
-bool SelfCulling::is_violated(const double* x, const double* v, const MotionRecord& motion, bool is_next_start) const {
+bool SelfCulling::is_violated(const double* x, const double* v, const MotionRecord& motion) const {
     if (!plan_.self_culled) return false;
-    const double end_speed = max_relative_speed(plan_, v), speed = larger(motion.max_relative_speed(), end_speed);
-    if (!is_separated_) return !(speed <= speed_limit_);
-    const double ends_speed = larger(max_relative_speed(plan_, v0_), end_speed);
-    if (!(speed <= 2.0 * ends_speed + SelfContact::speed_margin)) return true;
-    return !plan_.self->stayed_separated(x0_, x, v, plan_.contacts.thickness, duration_, is_next_start);
+    if (!is_separated_) return !(larger(motion.max_relative_speed(), max_relative_speed(plan_, v)) <= speed_limit_);
+    const MotionRecord::Path to_middle = motion.path(0, plan_.rank), from_middle = motion.path(1, plan_.rank);
+    return !plan_.self->stayed_separated(x0_, motion.middle(), x, to_middle.deviations, from_middle.deviations,
+                                         plan_.contacts.thickness);
 }
 
 FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0)

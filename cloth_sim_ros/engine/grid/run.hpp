@@ -56,7 +56,7 @@ public:
         messages_.resize(std::max<std::size_t>((bands_ - 1) * 4, messages_.size()));
         for (auto& message : messages_) message.resize(halo_ * stride_);
         counters_ = std::vector<Counter>(bands_);
-        if (run.motion) run.motion->start<T>(run.steps, bands_);
+        if (run.motion) run.motion->start<T>(run.steps, run.step, bands_, run.x0, run.v0, {});
         middle_.resize(run.activity ? 3 * pitch_ * grid_.rows : 0);
         if (run.activity) differences_.assign(bands_, plan::HalfDifference(run));
         step_row_ = select_row_step<T>(grid_.shape(), mode_, carries_air_);
@@ -319,7 +319,7 @@ private:
         if (owned && off_grid_.has_prescribed())
             off_grid_.prescribe_row(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
         if (run_.motion && row >= border_[b] && row < border_[b + 1])
-            off_grid_.record_row_motion(b, row, step, row_of(b, row) + velocity * pitch_, pitch_);
+            off_grid_.record_row_motion(b, row, step, row_of(b, row), pitch_);
         if (run_.ends_first_half(step) && row >= border_[b] && row < border_[b + 1]) {
             const T* const from = row_of(b, row) + velocity * pitch_;
             std::copy(from, from + 3 * pitch_, middle_.data() + 3 * pitch_ * row);

@@ -136,11 +136,17 @@ public:
           features_(plan, frame.t, frame.duration, frame.x0, frame.v0) {}
     /// Whether runs leave anything out.
     bool is_active() const { return obstacles_.is_active() || self_.is_active() || features_.is_active(); }
-    /// Whether a run, which records its motion, violates the assumptions. `is_next_start`: whether the next frame starts
-    /// at its end.
-    bool is_violated(const Run& run, bool is_next_start) const {
+    /// Record of what the assumptions need.
+    MotionRecord record() const {
+        const bool is_separated = self_.is_active() && self_.is_separated();
+        const bool keeps_bounds =
+            obstacles_.is_active() || features_.is_active() || (self_.is_active() && !is_separated);
+        return {keeps_bounds, is_separated ? plan_.count : 0};
+    }
+    /// Whether a run, which records its motion, violates the assumptions.
+    bool is_violated(const Run& run) const {
         if (!run.motion) return false;
-        return violates_obstacles(run) || self_.is_violated(run.x, run.v, *run.motion, is_next_start) ||
+        return violates_obstacles(run) || self_.is_violated(run.x, run.v, *run.motion) ||
                features_.is_violated(run.v, *run.motion);
     }
     /// Leave out no contact that the run concerns.
@@ -166,7 +172,7 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
     std::vector<Run> runs = runs_of(plan, frame);
     const auto requested = static_cast<std::size_t>(frame.combined);
     FrameCulling culling(plan, frame);
-    std::vector<MotionRecord> motions(culling.is_active() ? runs.size() : 0);
+    std::vector<MotionRecord> motions(culling.is_active() ? runs.size() : 0, culling.record());
     for (std::size_t k = 0; k < motions.size(); ++k) runs[k].motion = &motions[k];
     bool is_repeated = false, drops = false;
     for (std::size_t count = runs.size();; count = requested) {
@@ -177,7 +183,7 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
             const RunStatus done = is_concurrent ? RunStatus::ok : execute_run(plan, runs[k]);
             if (done != RunStatus::ok) return done;
             prescribe_end(plan, frame, runs[k]);
-            if (culling.is_violated(runs[k], requested == 1 && k == 0)) break;
+            if (culling.is_violated(runs[k])) break;
         }
         drops = drops || k < count;
         if (k >= requested) break;

@@ -172,10 +172,13 @@ void OffGridForces<T>::add_contact(int thread, std::int64_t step, T* f) {
 }
 
 template <class T>
-void OffGridForces<T>::record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* v,
+void OffGridForces<T>::record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* at,
                                          std::int64_t pitch) {
     using V = vec<T>;
     const std::int64_t columns = plan.grid->columns;
+    const T *const x = at + position * pitch, *const v = at + grid::velocity * pitch;
+    if (run.motion->keeps_paths()) run.motion->include_row<T>(step, row * columns, columns, x, v, pitch, origin);
+    if (!run.motion->keeps_bounds()) return;
     VelocityBounds<V> bounds;
     if (columns >= lanes<T>) {
         // The last vector overlaps the one before: there is no particle after the last.
@@ -193,7 +196,9 @@ void OffGridForces<T>::record_row_motion(int thread, std::int64_t row, std::int6
 template <class T>
 void OffGridForces<T>::record_motion(int thread, std::int64_t step, const T* v, std::int64_t first, std::int64_t last) {
     using V = vec<T>;
-    for (std::int64_t begin = first; begin < last; begin += contact_block) {
+    if (run.motion->keeps_paths())
+        run.motion->include_quads<T>(step, first, last, x.data(), v, plan.particle_of_rank, origin);
+    for (std::int64_t begin = first; run.motion->keeps_bounds() && begin < last; begin += contact_block) {
         quad<T> low = load4(v + 4 * begin), high = low;
         for (std::int64_t i = begin; i < std::min(begin + contact_block, last); ++i) {
             low = smaller(load4(v + 4 * i), low);

@@ -89,7 +89,7 @@ struct OffGridForces {
     void add_contact(int thread, std::int64_t step, T* f);
     /// Record the velocities of a row of the sheet after a step, or of a partition's particles as quads, if the run
     /// records its motion. Blocks that contact skips must not be faster than assumed.
-    void record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* v, std::int64_t pitch);
+    void record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* at, std::int64_t pitch);
     void record_motion(int thread, std::int64_t step, const T* v, std::int64_t first, std::int64_t last);
     void record_block_motion(int thread, std::int64_t block, std::int64_t step, const VelocityBounds<vec<T>>& bounds);
     /// Add the forces of contact, grippers, lists and callback to the force row of a sheet's row.
