@@ -171,6 +171,41 @@ def test_sheet_in_a_gust_is_within_tolerance() -> None:
     assert error_of_frames(frames[17:], (2000, 3400), 0.1 * tolerance) <= tolerance
 
 
+@pytest.mark.parametrize(
+    ("rate", "tolerance", "frequency", "change", "integrator"),
+    [
+        # The activity of free fall, which errs by nothing, hid that of the joint.
+        (30.0, 1e-9, 20.0, (0.0, 0.0, -7e-4), "auto"),
+        # A frame of two pieces. A piece of one step has no two halves, so a constant force was activity.
+        (24.0, 1e-5, 50.0, (0.5, 0.0, 0.0), "auto"),
+        (12.0, 1e-5, 50.0, (0.5, 0.0, 0.0), "auto"),
+    ],
+)
+def test_joint_beside_free_fall_is_within_tolerance(
+    rate: float, tolerance: float, frequency: float, change: tuple[float, float, float], integrator: str
+) -> None:
+    # The joint hangs still until gravity changes a little.
+    gravity, omega2 = np.array([0.0, 0.0, -9.81]), frequency * frequency
+    hung = [0.0, 0.0, -9.81 / omega2]
+    springs = {
+        "positions": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], hung],
+        "masses": 1.0,
+        "springs": [[0, 2]],
+        "rest_lengths": 0.0,
+        "stiffness": omega2,
+        "k_d0": 0.0,
+    }
+    parameters = {**SPRINGS, "rate": rate, "tolerance": tolerance, "gravity": gravity.tolist(), "integrator": integrator}
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    start, second = 15, round(rate)
+    event = {start: [SetParameters({"gravity": (gravity + change).tolist()})]}
+    frames = unflagged_frames(scene, start + second, event)[start:]
+    times = np.arange(1, second + 1)[:, None] / rate
+    displacement = np.array(change) / omega2 * (1.0 - np.cos(frequency * times))
+    joint = np.array([frame.after.x[:, 2] - frame.after.x[:, 0] for frame in frames])
+    assert np.linalg.norm(joint - (hung + displacement), axis=1).max() <= tolerance
+
+
 def test_hinges_thrown_over_are_within_tolerance() -> None:
     # The force of a hinge pulses at the middle of a frame, where both runs of an odd number of steps sample it.
     tolerance, growth = 6.3391462e-7, 3.2

@@ -25,6 +25,12 @@ def largest_distance(x: Array, y: Array) -> float:
     return float(out.value)
 
 
+def lengths(vectors: Array) -> Array:
+    """Return the lengths of vectors, shape (3, n), as an array (n,)."""
+    x, y, z = vectors
+    return np.sqrt(x * x + y * y + z * z)
+
+
 def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
     """Return the weighted sum of arrays of one shape, as a new array.
 

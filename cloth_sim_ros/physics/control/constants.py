@@ -51,6 +51,9 @@ class Constants:
         1e-5, "fraction of the velocity change of an interval that counts as activity even if it was predicted"
     )
     first_gain: float = _constant(0.1, "plausible gain of two combined runs over one in a rough motion")
+    hidden_gain: float = _constant(
+        0.03, "plausible gain of one run more for a particle whose difference of runs the last estimate did not contain"
+    )
     max_turn: float = _constant(0.25, "largest angle by which a spring may turn in a step of a smooth motion [rad]")
     smooth_turn: float = _constant(
         0.015, "angle by which a spring may turn in a step without a change of jerk that the activity misses [rad]"

@@ -110,7 +110,7 @@ class Controller:
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
             precision_keys = controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key
-            for key in (controller_state.PREVIOUS_VELOCITIES_KEY, *precision_keys):
+            for key in (*controller_state.PARTICLE_KEYS, *precision_keys):
                 state.memory.pop(key, None)
         is_due, self._last_refinement = error.time_until_estimate <= 0.0, 0.0
         if is_due and not has_tolerance:
@@ -278,10 +278,11 @@ class Controller:
         fewest = MAX_UNDAMPED_STEPS if self._is_rough else self._count_fewest_steps(n_runs)
         steps = max(steps_for(length, max_step / refinement), fewest)
         is_whole = n_runs == 1 and not self._has_tolerance
-        return steps, 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
+        n_pieces = 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
+        return max(steps, self._count_fewest_steps(n_runs) * n_pieces), n_pieces
 
     def _count_fewest_steps(self, n_runs: int) -> int:
-        """Return the least number of steps of the first run: 2 for a single run with a tolerance, else 1.
+        """Return the least number of steps of a piece's first run: 2 for a single run with a tolerance, else 1.
 
         The activity of a single run needs two halves.
         """
@@ -458,6 +459,7 @@ class Controller:
             max(summary.activity, summary.change_from_before),
             tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
             grip_jerk_change,
+            partial(tableau.particle_changes, n_runs - 1) if n_runs > 1 else None,
         )
         is_changed, contents = False, None
         if self._plan.contact is not None or self._plan.has_kinks or piece.ratio > 1:
@@ -753,7 +755,8 @@ class Controller:
         frame.has_missed = frame.has_missed or error > self._allowed
         frame.refined_time += length if self.refinement > 1.0 else 0.0
         if self.estimates_error:
-            frame.add_estimate(tableau, self._prediction, self._estimate.errors, self.refinement)
+            changes = None if n_runs == 1 or self._is_rough else tableau.particle_changes(n_runs - 1)
+            frame.add_estimate(tableau, self._prediction, self._estimate.errors, self.refinement, changes)
         self._before = state.v, length
         tableau.commit(n_runs, state)
         if self._has_tolerance:
@@ -800,7 +803,7 @@ class Controller:
         if self._has_tolerance:
             state.memory[controller_state.PREVIOUS_VELOCITIES_KEY] = self._start_v
         self._stability.memory.store(state)
-        error.memory.store(state)
+        error.store(state)
         if self.estimates_error or not self._has_tolerance:
             self._energy.memory.store(state)
             self._precision.store(state)

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+
+import numpy as np
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_component
 from cloth_sim_ros.physics.arithmetic.deterministic_math import power, root
@@ -26,7 +28,8 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     error_coefficient,
     rounding_amplification,
 )
-from cloth_sim_ros.physics.state.controller_state import ErrorState
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.controller_state import PARTICLE_CHANGES_KEY, ErrorState
 from cloth_sim_ros.physics.state.state import State
 
 _EPSILON = sys.float_info.epsilon
@@ -52,6 +55,8 @@ class ErrorRule:
     ) -> None:
         self.memory, self.budget, self._max_runs, self._stability = memory, budget, max_runs, stability
         self._x, self._v = state.x, state.v
+        #: Change of each particle by the last run in the last frame with an estimate [m], (n,); None if unknown.
+        self._known_changes = state.memory.get(PARTICLE_CHANGES_KEY)
 
     @cached_property
     def _position_rounding(self) -> float:
@@ -86,6 +91,7 @@ class ErrorRule:
         activity: float,
         jerk_change: float = 0.0,
         grip_jerk_change: float = 0.0,
+        particle_changes: Callable[[], Array] | None = None,
     ) -> tuple[float, float]:
         """Return the predicted errors of a piece [m] by its runs, and by one run less; infinite if the motion changed.
 
@@ -96,6 +102,7 @@ class ErrorRule:
             activity: activity of the piece [m/s].
             jerk_change: change of jerk of a single run whose springs turn [m/s].
             grip_jerk_change: change of jerk by grippers' paths [m/s].
+            particle_changes: gives changes of positions [m] and velocities [m/s] by the last run, (2, n); or None.
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
@@ -114,18 +121,58 @@ class ErrorRule:
             scale = memory.safety_factor * step * step / memory.coefficient
             known_jerk_change = memory.grip_jerk_change * length * length
             by_grips = displacement_by_jerk(max(0.0, grip_jerk_change - known_jerk_change), counts[0])
-            return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction + by_grips, 0.0
+            error = scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction
+            # Activity without an error, as of free fall, must not hide another.
+            least = displacement_by_activity(activity, counts[0], length)
+            if least > max(trust_factor * error, self.target(length)):
+                return math.inf, math.inf
+            return error + by_grips, 0.0
         if self._is_other_path(grip_jerk_change, counts[0], length):
             return math.inf, math.inf
         lower_order_error = change[0] + memory.velocity_weight * change[1]
         known_error = memory.lower_order_error * fraction
         if not known_error:
             return math.inf, math.inf
+        expected_fraction = fraction * coefficient_of(counts[:-1], length) / memory.lower_order_coefficient
+        if particle_changes and self._has_hidden_change(lower_order_error, particle_changes, expected_fraction, length):
+            return math.inf, math.inf
         # The larger the change by the last run, the smaller the gain of the next one; at a force jump it is 0.
         ratio = lower_order_error / known_error
         growth = max(1.0, ratio * memory.lower_order_coefficient / coefficient_of(counts[:-1], length))
         scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
         return scale * memory.error * fraction, lower_order_error
+
+    def _has_hidden_change(
+        self,
+        largest_change: float,
+        particle_changes: Callable[[], Array],
+        expected_fraction: float,
+        length: float,
+    ) -> bool:
+        """Return True if a particle changes by the last run as it did not in the last estimate, which matters.
+
+        A slow particle may change much by the last run and little by the next one. It hides another particle, by which
+        the next run may gain little.
+
+        Args:
+            largest_change: largest change of a particle [m].
+            particle_changes: gives changes of positions [m] and velocities [m/s] by the last run, (2, n).
+            expected_fraction: ratio of expected changes to those of the frame with the last estimate.
+            length: of the piece [s].
+        """
+        target = self.target(length) / CONSTANTS.hidden_gain
+        if largest_change <= target:
+            return False
+        changes, known = self._weighted(particle_changes()), self._known_changes
+        if known is not None:
+            changes = changes - (CONSTANTS.estimate_trust_factor * expected_fraction) * known
+        return not float(np.maximum.reduce(changes)) <= target
+
+    def _weighted(self, particle_changes: Array) -> Array:
+        """Return the displacements [m] by changes of positions [m] and velocities [m/s], (2, n), of particles, (n,)."""
+        position_changes, velocity_changes = particle_changes
+        displacements: Array = position_changes + self.memory.velocity_weight * velocity_changes
+        return displacements
 
     def _is_other_path(self, grip_jerk_change: float, steps: int, length: float) -> bool:
         """Return True if grippers move so that the last estimate does not tell the error of combined runs.
@@ -257,6 +304,7 @@ class ErrorRule:
         known_error = CONSTANTS.estimate_trust_factor * errors[max(next_runs - 2, 0)]
         known_jerk_change = known_error / (displacement_by_jerk(1.0, counts[0]) * length * memory.duration)
         memory.grip_jerk_change = min(memory.grip_jerk_change, known_jerk_change)
+        self._known_changes = None
         memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs))
         memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:
@@ -264,6 +312,8 @@ class ErrorRule:
             position_change, velocity_change = frame.changes[next_runs - 2]
             displaced = max(0.0, errors[next_runs - 2] - position_change)
             memory.velocity_weight = displaced / velocity_change if velocity_change else 0.0
+            if frame.particle_changes is not None and next_runs == n_runs:
+                self._known_changes = self._weighted(frame.particle_changes)
             memory.lower_order_error = max(errors[next_runs - 2], floor)
             memory.lower_order_coefficient = coefficient_of(counts[: next_runs - 1], length)
         is_confirmed = is_predicted and prediction_ratio <= CONSTANTS.estimate_trust_factor
@@ -292,6 +342,15 @@ class ErrorRule:
     def restart(self, n_runs: int, refinement: float) -> None:
         """Forget the last estimate, so that the next frame estimates its error; keep runs and refinement."""
         self.memory = ErrorState(n_runs=float(n_runs), refinement=refinement, duration=self.memory.duration)
+        self._known_changes = None
+
+    def store(self, state: State) -> None:
+        """Store the rule's numbers in a state's memory."""
+        self.memory.store(state)
+        if self._known_changes is None:
+            state.memory.pop(PARTICLE_CHANGES_KEY, None)
+        else:
+            state.memory[PARTICLE_CHANGES_KEY] = self._known_changes
 
     def count_down(self) -> None:
         """Reduce the time until the next estimate by a frame, down to 0."""
@@ -308,6 +367,20 @@ def displacement_by_jerk(jerk_change: float, steps: int) -> float:
         steps: number of its steps.
     """
     return VELOCITY_ERROR_TIME * jerk_change / (3.0 * steps * steps)
+
+
+def displacement_by_activity(activity: float, steps: int, length: float) -> float:
+    """Return the error [m] of a single run of an oscillator with this activity, if its period is longer than the run.
+
+    Its amplitude a and angular frequency w give an activity of a w^3 T^2/4. Its phase errs by w^3 h^2 T/24. Faster ones
+    err by more.
+
+    Args:
+        activity: of the run [m/s].
+        steps: number of its steps.
+        length: of the run [s].
+    """
+    return activity * length / (6.0 * steps * steps)
 
 
 def coefficient_of(counts: tuple[int, ...], length: float) -> float:

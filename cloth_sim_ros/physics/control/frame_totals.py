@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import ChangeState
 
 
@@ -71,6 +72,9 @@ class FrameTotals:
     errors: Sequence[float] = ()
     #: Changes of positions [m] and of velocities [m/s] from T_1 to T_2, from T_2 to T_3, ...
     changes: Sequence[tuple[float, float]] = ()
+    #: Changes of each particle's position [m] and velocity [m/s] by the last of the chosen runs, (2, n); None if a
+    #: single run was chosen.
+    particle_changes: Array | None = None
 
     def add(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, prediction: ErrorPrediction, error: float
@@ -88,9 +92,22 @@ class FrameTotals:
             self.contents.include(prediction.contents)
 
     def add_estimate(
-        self, tableau: ExtrapolationTableau, prediction: ErrorPrediction, errors: Sequence[float], refinement: float
+        self,
+        tableau: ExtrapolationTableau,
+        prediction: ErrorPrediction,
+        errors: Sequence[float],
+        refinement: float,
+        particle_changes: Array | None,
     ) -> None:
-        """Add an accepted piece's error estimates [m] of 1, 2, ... combined runs, and its refinement."""
+        """Add an accepted piece's error estimates [m] of 1, 2, ... combined runs, and its refinement.
+
+        Args:
+            tableau: runs of the piece.
+            prediction: its predicted errors.
+            errors: estimates of 1, 2, ... combined runs [m].
+            refinement: refinement of its steps.
+            particle_changes: changes by the last of the chosen runs, see `particle_changes`; None if not needed.
+        """
         runs, changes = (tableau.counts, tableau.duration), [tableau.change(k) for k in range(1, len(errors) + 1)]
         if self.has_estimates:
             self.is_uniform &= self.refinement == refinement
@@ -98,8 +115,10 @@ class FrameTotals:
             runs = min(self.runs, runs, key=lambda piece: piece[1] / piece[0][0])
             errors = [ordered_sum(pair) for pair in zip(self.errors, errors, strict=False)]
             changes = [(x + dx, v + dv) for (x, v), (dx, dv) in zip(self.changes, changes, strict=False)]
+            if particle_changes is not None and self.particle_changes is not None:
+                particle_changes = self.particle_changes + particle_changes
         self.has_estimates, self.runs, self.errors, self.changes = True, runs, errors, changes
-        self.refinement = refinement
+        self.refinement, self.particle_changes = refinement, particle_changes
         self.predicted_error += prediction.error
         self.activity = max(self.activity, prediction.activity)
         self.jerk_change = max(self.jerk_change, tableau.jerk_change)

@@ -17,7 +17,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.accounting.end_corrections import accumulate_runs
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance
+from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance, lengths
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -263,6 +263,11 @@ class ExtrapolationTableau:
             (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
             self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
         return self._changes[n_runs]
+
+    def particle_changes(self, n_runs: int) -> Array:
+        """Return each particle's changes of position [m] and velocity [m/s] if one run more is combined, (2, n)."""
+        (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
+        return np.stack((lengths(x - y), lengths(v - w)))
 
     def difference(self, n_runs: int) -> float:
         """Return the error estimate of n_runs combined runs [m]: the distance from the combination of one run more.

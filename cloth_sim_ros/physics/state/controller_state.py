@@ -294,6 +294,10 @@ SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP
 )
 #: Key of the velocities [m/s] at the start of the last frame, shape (3, particle_count).
 PREVIOUS_VELOCITIES_KEY = "control.velocities"
+#: Key of the change of each particle by the last run in the last frame with an estimate [m], shape (particle_count,).
+PARTICLE_CHANGES_KEY = "control.particle_changes"
+#: Keys of step control with numbers for each particle.
+PARTICLE_KEYS = PREVIOUS_VELOCITIES_KEY, PARTICLE_CHANGES_KEY
 #: Controller states that belong to step control.
 STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
@@ -334,7 +338,7 @@ def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
 def estimate_next_frame(state: HasMemory) -> None:
     """Let the next advance estimate its error if it combines runs, because forces have changed a little.
 
-    A single run is more active then, which shows in its predicted error.
+    A single run is more active then. Its error is known as far as the last estimate contained this activity.
     """
     error = ErrorState.load(state)
     if error.n_runs > 1.0:
@@ -355,4 +359,5 @@ def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
             state.memory.pop(controller.key, None)
         elif controller.key in state.memory:
             state.memory[controller.key] = np.empty(0)
-    state.memory.pop(PREVIOUS_VELOCITIES_KEY, None)
+    for key in PARTICLE_KEYS:
+        state.memory.pop(key, None)

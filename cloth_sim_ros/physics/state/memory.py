@@ -70,6 +70,13 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
     for name in (*controller_state.SLEEP_KEYS, controller_state.PREVIOUS_VELOCITIES_KEY):
         if name in memory:
             _check_array(name, memory[name], _FLOAT, (3, particle_count))
+    if controller_state.PARTICLE_CHANGES_KEY in memory:
+        _check_array(
+            controller_state.PARTICLE_CHANGES_KEY,
+            memory[controller_state.PARTICLE_CHANGES_KEY],
+            _FLOAT,
+            (particle_count,),
+        )
     if controller_state.SLEEP_VELOCITIES_KEY in memory and SleepState.key not in memory:
         raise ValueError(f"memory '{SleepState.key}' is missing; a state that sleeps has it")
     if ANCHORS_KEY in memory:
