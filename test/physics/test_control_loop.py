@@ -69,7 +69,7 @@ def test_impact_after_single_precision_takes_more_runs() -> None:
 def test_error_of_another_number_of_runs_is_estimated_again() -> None:
     state = State([[0.0, 0.0, 0.0]])
     stability = StabilityRule(compile(Model([1.0], [])), StabilityState(), state.x)
-    rule = ErrorRule(ErrorState(duration=0.01, n_runs=3.0), 1e-6, 8, state, stability)
+    rule = ErrorRule(ErrorState(duration=0.01, n_runs=3.0), 1e-6, 8, state, stability, lambda _: 0.0)
     frame = FrameTotals()
     frame.runs, frame.errors, frame.changes = ((6, 8, 10), 0.01), [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3
     frame.error = frame.predicted_error = 1e-9
@@ -88,7 +88,7 @@ def test_error_that_fell_by_chance_is_raised_and_not_trusted() -> None:
     counts, last = (12, 15), 4e-7
     memory = ErrorState(duration=length, error=last, activity=1.0, estimate_period=4.0 * length, step=length / 12)
     memory.coefficient, memory.refinement = coefficient_of(counts[:1], length), 2.0
-    rule, frame = ErrorRule(memory, 1e-6, 2, state, stability), FrameTotals()
+    rule, frame = ErrorRule(memory, 1e-6, 2, state, stability, lambda _: 0.0), FrameTotals()
     frame.runs, frame.errors, frame.changes = (counts, length), [last / 8.0, last / 8.0], [(0.0, 0.0)] * 2
     frame.error, frame.predicted_error, frame.activity, frame.n_pieces = last / 8.0, last, 1.0, 1
     rule.learn(frame, 1, 2.0, length)
@@ -383,6 +383,6 @@ def test_further_run_needs_a_gain_of_work(refinement: float, expected: bool) -> 
     state = State([[0.0, 0.0, 0.0]])
     plan = compile(Model([1.0], [Gravity([0.0, 0.0, -9.81])]))
     stability = StabilityRule(plan, StabilityState.load(state), state.x)
-    rule = ErrorRule(ErrorState(duration=PERIOD), 1e-6, 4, state, stability)
+    rule = ErrorRule(ErrorState(duration=PERIOD), 1e-6, 4, state, stability, lambda _: 0.0)
     # With its share of estimates a run takes 1.08 runs by the longest steps, a combination of two 2.35.
     assert rule.may_gain(2, 1, refinement, PERIOD) is expected

@@ -315,10 +315,33 @@ def test_tolerance_below_rounding_is_flagged_and_ends() -> None:
     assert result.evaluations < 10_000
 
 
+def test_rounding_of_fast_particle_requires_no_finer_steps() -> None:
+    # Each step rounds the velocity of the falling particle alike, so that finer steps have larger errors.
+    springs = PairSprings([[0, 1], [1, 2]], 0.0, [2.8, 730.0], [0.0, 0.0])
+    model = Model([1.0, 1.0, 0.01, 1.0], [springs, Gravity()], anchors=[0])
+    positions = [[0.0, 0.0, 0.0], [0.01, 0.0, -3.5], [0.01, 0.4, -3.5], [3.0, 0.0, -4.7]]
+    state = State(positions, [[0.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, -50.0]])
+    advances = simulate(model, state, 0.04, save_at=1e-3 * np.arange(1, 41), tolerance=1e-9).advances
+    assert sum(advance.evaluations for advance in advances) < 100 * len(advances)
+
+
+@pytest.mark.parametrize(("excess", "scale"), [(27.0, 3.0), (1.0, 1.0), (1 / 8, 1 / 2)])
+def test_step_below_rounding_balances_rounding_and_order(excess: float, scale: float) -> None:
+    model, state = critical()
+    stability, memory = StabilityRule(compile(model), StabilityState(), state.x), ErrorState(duration=0.01)
+    rule = ErrorRule(memory, 1e-6, 4, state, stability, lambda _: 0.0)
+    floor = rule.rounding_floor(1, 6, 0.0)
+    n_runs, refinement = rule.choose_runs([excess * floor], 10.0, 1e-3 * floor, 0.01, 6)
+    assert (n_runs, refinement) == (1, pytest.approx(10.0 * scale))
+    # An error within its budget, here 1.7 times its target, does not allow longer steps than it needs.
+    error = excess * floor
+    assert rule.choose_runs([error], 10.0, 0.6 * error, 0.01, 6)[1] >= 10.0
+
+
 def test_doubled_activity_is_not_predicted() -> None:
     model, state = critical()
     memory = ErrorState(error=1e-12, activity=1.0, step=1e-3, coefficient=1e-6, duration=0.01)
-    rule = ErrorRule(memory, 1e-6, 4, state, StabilityRule(compile(model), StabilityState(), state.x))
+    rule = ErrorRule(memory, 1e-6, 4, state, StabilityRule(compile(model), StabilityState(), state.x), lambda _: 0.0)
     assert rule.predict((10,), 0.01, (0.0, 0.0), 1.9, 0.0)[0] == pytest.approx(1.9**3 * 1e-12)
     assert rule.predict((10,), 0.01, (0.0, 0.0), 2.1, 0.0)[0] == math.inf
     # A single run has an error of second order; a run of a few steps has no order.
@@ -333,7 +356,7 @@ def test_doubled_jerk_change_is_predicted_if_it_displaces_little() -> None:
     memory = ErrorState(error=1e-12, activity=1.0, step=1e-3, coefficient=1e-6, duration=0.01)
 
     def predict(budget: float, earlier: float) -> float:
-        rule = ErrorRule(attrs.evolve(memory, jerk_change=earlier), budget, 4, state, stability)
+        rule = ErrorRule(attrs.evolve(memory, jerk_change=earlier), budget, 4, state, stability, lambda _: 0.0)
         return rule.predict((10,), 0.01, (0.0, 0.0), 1.0, jerk_change)[0]
 
     assert predict(1.9e-6, 0.4 * jerk_change) == math.inf

@@ -46,7 +46,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     step_counts,
 )
 from cloth_sim_ros.physics.integrators.limit import steps_for
-from cloth_sim_ros.physics.model.forces.force import EngineForce
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
@@ -119,7 +119,8 @@ class Controller:
         #: Error budget of the frame [m].
         tolerance = math.inf if options.tolerance is None else options.tolerance
         self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
-        self._error = ErrorRule(error, self.budget, options.n_runs, state, self._stability)
+        measure = partial(self._measure_displacement, t, state.x)
+        self._error = ErrorRule(error, self.budget, options.n_runs, state, self._stability, measure)
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
@@ -511,7 +512,8 @@ class Controller:
                     estimate.needs_double = self._fits(self.n_runs, self._refinement_in_double(piece), piece)
                     break
                 self._append_estimate(tableau, chosen)
-        floor, measure = self._error.rounding_floor, partial(self._measure_difference, tableau)
+        floor = partial(self._error.rounding_floor, steps=piece.steps, target=self._error.target(piece.length))
+        measure = partial(self._measure_difference, tableau)
         estimate.confirm(floor, measure)
         if not self.in_fallback:
             self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
@@ -536,6 +538,12 @@ class Controller:
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
         return error
 
+    def _measure_displacement(self, t: float, x: Array, errors: Array) -> float:
+        """Return the displacement [m] that velocity errors [m/s] cause later, and count its work."""
+        displacement, evaluations = self._plan.velocity_displacement(t, x, errors, VELOCITY_ERROR_TIME)
+        self.work.add(evaluations)
+        return displacement
+
     def _count_estimates(self, counts: tuple[int, ...]) -> int:
         """Return the number of combinations whose error is estimated, so that the chosen one is reliable.
 
@@ -552,9 +560,8 @@ class Controller:
         tableau.commit(self.n_runs, end)
         for state, time, duration in ((self._state, t, -half_step), (end, t + piece.length, half_step)):
             change = missed_velocity_change(self._plan, state, time, duration)
-            displacement, evaluations = self._plan.velocity_displacement(time, state.x, change, VELOCITY_ERROR_TIME)
-            error += displacement
-            self.work.add(EVALUATIONS + evaluations)
+            error += self._measure_displacement(time, state.x, change)
+            self.work.add(EVALUATIONS)
         return error
 
     def reject_inaccurate(self, piece: Piece, allowed: float) -> bool:
@@ -576,7 +583,7 @@ class Controller:
             self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
             return True
         errors, error = estimate.errors, estimate.error(self.n_runs)
-        floor = self._error.rounding_floor(self.n_runs, piece.steps if self._is_rough else 0)
+        floor = self._error.rounding_floor(self.n_runs, piece.steps, self._error.target(piece.length))
         if self.in_fallback or error <= CONSTANTS.estimate_trust_factor * floor:
             return False  # no step reduces the error below rounding
         target = CONSTANTS.error_target_fraction * allowed
@@ -627,9 +634,8 @@ class Controller:
     def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
         """Return number of runs and refinement that meet a target [m] with the fewest evaluations, by its estimates."""
         # The pieces of a stretch share the rounding error of one run, because it cancels over them.
-        fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
-        choice = self._estimate.errors, refinement, target, piece.length
-        return self._error.choose_runs(*choice, rounding_fraction=fraction, rounded_steps=rounded_steps)
+        choice = self._estimate.errors, refinement, target, piece.length, piece.steps
+        return self._error.choose_runs(*choice, rounding_fraction=piece.length / self._stretch)
 
     def _may_gain(self, piece: Piece, target: float) -> bool:
         """Return True if a run more than those of the estimates may meet a target [m] with fewer evaluations."""

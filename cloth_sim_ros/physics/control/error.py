@@ -35,6 +35,8 @@ from cloth_sim_ros.physics.state.state import State
 _EPSILON = sys.float_info.epsilon
 #: Rounding error of a run, in units of epsilon times the largest coordinate. A combination amplifies it.
 _COORDINATE_ROUNDINGS = 4.0
+#: Largest rounding error of a velocity in a step, relative to the velocity.
+_STEP_ROUNDING = 0.5 * _EPSILON
 #: The predicted error of a single run grows with this power of the velocity change, as x''' may.
 _ACTIVITY_EXPONENT = 3
 
@@ -48,12 +50,20 @@ class ErrorRule:
         max_runs: maximum number of combined runs.
         state: at the start.
         stability: requires a refinement of each number of runs.
+        measure_displacement: gives the displacement [m] by velocity errors [m/s] at the start, shape (3, n).
     """
 
     def __init__(
-        self, memory: ErrorState, budget: float, max_runs: int, state: State, stability: StabilityRule
+        self,
+        memory: ErrorState,
+        budget: float,
+        max_runs: int,
+        state: State,
+        stability: StabilityRule,
+        measure_displacement: Callable[[Array], float],
     ) -> None:
         self.memory, self.budget, self._max_runs, self._stability = memory, budget, max_runs, stability
+        self._measure_displacement = measure_displacement
         self._x, self._v = state.x, state.v
         #: Change of each particle by the last run in the last frame with an estimate [m], (n,); None if unknown.
         self._known_changes = state.memory.get(PARTICLE_CHANGES_KEY)
@@ -63,18 +73,31 @@ class ErrorRule:
         """Rounding error of a run's positions [m], calculated at first access."""
         return _COORDINATE_ROUNDINGS * _EPSILON * largest_component(self._x)
 
-    def rounding_floor(self, n_runs: int, steps: int = 0) -> float:
-        """Return the error estimate of n_runs combined runs that rounding alone causes [m].
+    @cached_property
+    def _displacement_limit(self) -> float:
+        """Upper limit of `_rounding_displacement` [m], without force evaluations."""
+        return VELOCITY_ERROR_TIME * _STEP_ROUNDING * largest_component(self._v)
+
+    @cached_property
+    def _rounding_displacement(self) -> float:
+        """Displacement that the rounding of all velocities in a step causes later [m], measured at first access."""
+        return min(self._displacement_limit, self._measure_displacement(_STEP_ROUNDING * np.abs(self._v)))
+
+    def rounding_floor(self, n_runs: int, steps: int, target: float) -> float:
+        """Return the error estimate of n_runs combined runs of a piece that rounding alone causes [m].
+
+        Each step rounds velocities. At a steady acceleration all steps round them alike, so that the errors add up.
 
         Args:
             n_runs: number of combined runs.
-            steps: steps whose roundings of velocities displace later. They add up over the few pieces of a rough
-                motion; over a frame they cancel.
+            steps: of the first run.
+            target: aimed error [m]; an upper limit suffices if it is below.
         """
-        displaced = 0.0
-        if steps:
-            displaced = VELOCITY_ERROR_TIME * (0.5 * _EPSILON * largest_component(self._v)) * steps
-        return rounding_amplification(n_runs + 1) * (self._position_rounding + displaced)
+        amplification = rounding_amplification(n_runs + 1)
+        limit = amplification * (self._position_rounding + steps * self._displacement_limit)
+        if limit <= target:
+            return limit
+        return amplification * (self._position_rounding + steps * self._rounding_displacement)
 
     def is_predictable(self, counts: tuple[int, ...], length: float) -> bool:
         """Return True if the last estimate can predict the error of a piece with these step counts and length [s]."""
@@ -198,9 +221,9 @@ class ErrorRule:
         refinement: float,
         target: float,
         length: float,
+        steps: int,
         *,
         rounding_fraction: float = 1.0,
-        rounded_steps: int = 0,
         present_runs: int = 0,
     ) -> tuple[int, float]:
         """Return the number of runs and the refinement that meet a target error with the fewest force evaluations.
@@ -210,15 +233,20 @@ class ErrorRule:
             refinement: present refinement.
             target: aimed error [m].
             length: of the errors' interval [s].
+            steps: of the first run.
             rounding_fraction: rounding in these errors, relative to that of a run.
-            rounded_steps: steps whose roundings of velocities count, see `rounding_floor`.
             present_runs: number of runs that needs no estimate in the next frame; 0 for none.
         """
         best = (1, refinement, math.inf)
         for n_runs, error in enumerate(errors[: self._max_runs], start=1):
-            floor = rounding_fraction * self.rounding_floor(n_runs, rounded_steps)
-            # No step reduces the error below rounding.
-            scale = root(max(error, floor) / max(target, floor), n_runs + 1)
+            floor = rounding_fraction * self.rounding_floor(n_runs, steps, target / rounding_fraction)
+            scale = root(error / target, n_runs + 1)
+            if floor:
+                # Rounding grows with the number of steps. Steps finer than the balance of both errors gain nothing.
+                balance = root(error / floor, n_runs + 2)
+                # An error within its budget shows that rounding is less than its upper limit.
+                fits = error <= target / CONSTANTS.error_target_fraction
+                scale = min(scale, max(1.0, balance) if fits else balance)
             required_refinement = max(self._stability.min_refinement(n_runs, length), refinement * scale)
             work = self._work(n_runs, required_refinement)
             if present_runs and n_runs != present_runs:
@@ -255,7 +283,7 @@ class ErrorRule:
         """
         is_raised = self._raise_accidental_error(frame, n_runs)
         # Absolute values of rounding errors add up over pieces. Finer steps, thus more pieces, do not reduce them.
-        choice = frame.errors, refinement, self.target(duration), duration
+        choice = frame.errors, refinement, self.target(duration), duration, frame.runs[0][0]
         next_runs, next_refinement = self.choose_runs(*choice, rounding_fraction=frame.n_pieces, present_runs=n_runs)
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
@@ -295,6 +323,7 @@ class ErrorRule:
             is_raised: True if the error was small by chance and therefore raised.
         """
         memory, errors, error, (counts, length) = self.memory, frame.errors, frame.error, frame.runs
+        target = self.target(length)
         prediction_ratio = error / frame.predicted_error if frame.predicted_error > 0.0 else math.inf
         is_predicted = math.isfinite(frame.predicted_error)
         is_far_below = error <= CONSTANTS.low_error_fraction * self.budget
@@ -305,10 +334,10 @@ class ErrorRule:
         known_jerk_change = known_error / (displacement_by_jerk(1.0, counts[0]) * length * memory.duration)
         memory.grip_jerk_change = min(memory.grip_jerk_change, known_jerk_change)
         self._known_changes = None
-        memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs))
+        memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs, counts[0], target))
         memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:
-            floor = self.rounding_floor(next_runs - 1)
+            floor = self.rounding_floor(next_runs - 1, counts[0], target)
             position_change, velocity_change = frame.changes[next_runs - 2]
             displaced = max(0.0, errors[next_runs - 2] - position_change)
             memory.velocity_weight = displaced / velocity_change if velocity_change else 0.0
@@ -321,7 +350,7 @@ class ErrorRule:
         is_same = next_runs == n_runs
         # Longer steps may follow from an error that was small by chance.
         is_risky = is_raised and next_refinement > 1.0
-        is_expected = is_far_below or is_confirmed or error <= self.rounding_floor(n_runs)
+        is_expected = is_far_below or is_confirmed or error <= self.rounding_floor(n_runs, counts[0], target)
         is_trusted = is_same and is_expected and not is_risky
         known_ratio = min(prediction_ratio, 1e3) if is_predicted else 1.0
         memory.safety_factor = 1.0 if is_far_below else max(1.0, 0.5 * memory.safety_factor, known_ratio)
