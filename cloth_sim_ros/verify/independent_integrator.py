@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.state.controller_state import (
     with_jaws,
 )
 from cloth_sim_ros.physics.state.state import State
-from cloth_sim_ros.verify.reference_integrator import MotionState
+from cloth_sim_ros.verify.reference_integrator import MotionState, returned_to_yield_surface
 from cloth_sim_ros.verify.reference_motion import Equations, ReferenceMotion, SimulatedFrame
 
 #: Relative tolerance, and absolute tolerance [m, m/s].
@@ -41,14 +41,15 @@ def dop853(
 ) -> MotionState:
     """Integrate a motion by DOP853 from time t [s] over a duration [s]; return the end. Raises ArithmeticError.
 
-    Friction anchors and plastic lengths are updated after each step. The jaws are integrated together with the
-    particles. Prescribed particles are at their points in each evaluation.
+    Friction anchors and plastic lengths are updated after each step, plastic lengths at the start too. The jaws are
+    integrated together with the particles. Prescribed particles are at their points in each evaluation.
 
     Raises:
         ArithmeticError: if no step is small enough.
     """
     from scipy.integrate import DOP853
 
+    start = returned_to_yield_surface(plan, start)
     shape, n_coordinates, contact = start.x.shape, start.x.size, plan.contact
     jaws, memory = np.empty((0, 2)) if contact is None else contact.jaws_of(start.memory), dict(start.memory)
 

@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import Run, RunSummary
-from cloth_sim_ros.physics.state.controller_state import StateMemory
+from cloth_sim_ros.physics.state.controller_state import PLASTIC_LENGTHS_KEY, StateMemory
 
 #: Step counts of the runs of an interval: one run more than the simulation's maximum.
 STEP_COUNTS = (8, 10, 12, 16, 20)
@@ -46,6 +46,18 @@ class MotionState(NamedTuple):
     v: Array
     #: Friction anchors, jaws and contact thickness, as in `State.memory`.
     memory: StateMemory = MappingProxyType({})
+
+
+def returned_to_yield_surface(plan: Plan, state: MotionState) -> MotionState:
+    """Return a state whose plastic lengths are mapped to the yield surface; other states are returned as they are.
+
+    Hinges may start beyond their yield limit: in a folded initial state, or after a change of a parameter. The engine
+    maps them at the end of each run's first step, so its limit for small steps is the mapping at the start.
+    """
+    if plan.plastic is None:
+        return state
+    lengths, _ = plan.plastic.return_mapping(state.x, state.memory)
+    return state._replace(memory={**state.memory, PLASTIC_LENGTHS_KEY: lengths})
 
 
 @lru_cache(maxsize=16)
@@ -81,7 +93,8 @@ class ReferenceIntegrator:
         Returns:
             The state at its end, and the lengths of the intervals [s].
         """
-        state, rates, lengths, elapsed = start, plan.spectral_bounds(start[0]), list[float](), 0.0
+        rates, lengths, elapsed = plan.spectral_bounds(start[0]), list[float](), 0.0
+        state = returned_to_yield_surface(plan, start)
         # Below the rounding of the difference of two extrapolations, smaller steps bring no gain.
         rounding = rounding_amplification(STEP_COUNTS) + rounding_amplification(STEP_COUNTS[1:])
         min_error = 4.0 * UNIT_ROUNDOFF * float(np.abs(start[0]).max()) * rounding
@@ -125,7 +138,7 @@ def integrate_intervals(
     plan: Plan, t: float, lengths: Sequence[float], start: MotionState, counts: tuple[int, ...] = STEP_COUNTS
 ) -> MotionState:
     """Integrate intervals of given lengths [s] from time `t` [s] by fixed step counts; return the state at the end."""
-    state = start
+    state = returned_to_yield_surface(plan, start)
     for length in lengths:
         state, t = _extrapolate(plan, t, length, state, counts)[0], t + length
     return state

@@ -17,6 +17,7 @@ from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.state.controller_state import PLASTIC_LENGTHS_KEY
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -121,6 +122,24 @@ def test_reference_yields_at_extremes_within_a_step():
         lengths.append(system.plastic_lengths)
     assert np.abs(lengths[1]).max() > 0.002
     assert lengths[0] == pytest.approx(lengths[1], abs=1e-8)
+
+
+def test_reference_returns_hinges_to_yield_surface_at_start():
+    # Folded wings beyond the yield limit unfold; the first step holds the plastic length.
+    model = Model(np.full(4, 0.01), [BendingFriction([[0, 1, 2, 3]], 0.0, 2.0, 0.002)], anchors=[0, 1])
+    x = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.1, 0.5, 0.05], [0.1, 0.5, 0.05]]).T.copy()
+    v = np.zeros((3, 4))
+    v[2, 2:] = -0.5
+    plastic = compile(model).plastic
+    ends = []
+    for lengths in (np.zeros(1), plastic.return_mapping(x, {})[0]):
+        system = ReferenceSystem(model)
+        system.set_plastic_lengths(lengths)
+        integration = Integration(system, trajectories(x, v), tolerance=1e-10)
+        integration.advance(0.02)
+        ends.append((integration.positions, system.plastic_lengths))
+    assert ends[0][0] == pytest.approx(ends[1][0], abs=1e-13)
+    assert ends[0][1] == pytest.approx(ends[1][1], abs=1e-13)
 
 
 def test_reference_follows_friction_of_bending():

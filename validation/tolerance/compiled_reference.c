@@ -162,6 +162,17 @@ static void frictions(const System *s, const double *x, double *f) {
     }
 }
 
+/* Return the plastic lengths of hinges beyond their largest deflection to it, at the start of an interval. */
+static void return_at_start(const System *s, const double *y) {
+    for (int64_t k = 0; k < s->frictions.count; ++k) {
+        const Lanes reach = (Lanes){0} + s->frictions.numbers[2 * k + 1];
+        Lanes *plastic = (Lanes *)(s->plastic_lengths + LANES * k);
+        Vec gradient[4];
+        const Lanes h = crossed_length(s->frictions.particles + 4 * k, y, gradient);
+        *plastic = between(*plastic, h - reach, h + reach);
+    }
+}
+
 /* Plastic lengths after a step h from y to next. Each follows the extremes of the cubic through h and its rates. */
 static void flow(const System *s, double step, const double *y, const double *next, int64_t half) {
     for (int64_t k = 0; k < s->frictions.count; ++k) {
@@ -520,6 +531,7 @@ int advance(const System *s, const Method *m, Control *control, double duration,
     const int64_t end = control->evaluations + control->most;
     const double longest = control->longest > 0.0 ? control->longest : INFINITY;
     double t = 0.0, h = fmin(longest, control->step > 0.0 ? control->step : 1e-3 * duration);
+    return_at_start(s, y);
     accelerations(s, t, y, y + half, k[0]);
     ++control->evaluations;
     int rejected = 0;
