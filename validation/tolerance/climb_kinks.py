@@ -65,7 +65,7 @@ def hinges(rng: np.random.Generator) -> Trial:
 
 def yielding(rng: np.random.Generator) -> Trial:
     """Evaluate a hinge with friction of bending, whose wing swings."""
-    rate, tolerance = _rate_and_tolerance(rng)
+    rate, tolerance = rate_and_tolerance(rng)
     edge = log_uniform(rng, 0.03, 0.5)
     width, mass = edge * float(rng.uniform(0.5, 1.1)), log_uniform(rng, 0.003, 0.5)
     fold, speed = float(rng.uniform(0.5, 2.8)), log_uniform(rng, 0.003, 1.0)
@@ -93,14 +93,14 @@ def yielding(rng: np.random.Generator) -> Trial:
         "material.damping": 0.0,
         "gravity": [0.0, 0.0, 0.0],
     }
-    scene = _spring_scene(tables, {"rate": rate, "tolerance": tolerance, **values})
-    draw = RandomScene(scene=scene, state=scene.starting_state(), frames=_frame_count(rate), words="yields")
+    scene = spring_scene(tables, {"rate": rate, "tolerance": tolerance, **values})
+    draw = RandomScene(scene=scene, state=scene.starting_state(), frames=frame_count(rate), words="yields")
     return evaluate_trial(draw, {**scene.parameters(), **tables})
 
 
 def gliding(rng: np.random.Generator) -> Trial:
     """Evaluate a particle that glides over an edge of a box or over the ridge of a mesh."""
-    rate, tolerance = _rate_and_tolerance(rng)
+    rate, tolerance = rate_and_tolerance(rng)
     thickness, gravity = log_uniform(rng, 0.05, 1.0), log_uniform(rng, 0.1, 10.0)
     height, x = float(rng.uniform(0.6, 1.05)) * thickness, -float(rng.uniform(0.0, 0.6))
     velocity = [float(rng.uniform(0.2, 2.0)), 0.0, float(rng.uniform(-0.3, 0.3))]
@@ -114,16 +114,16 @@ def gliding(rng: np.random.Generator) -> Trial:
         body = {"thing.shape": "box", "thing.size": [8.0, 8.0, 8.0]}
     values = {"rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, -gravity], "contact.thickness": thickness}
     corner = (0.0, 0.0, 0.0) if is_mesh else (-4.0, 0.0, -4.0)
-    scene = _spring_scene(tables, values | body, corner, {"thing.obj": _ridge(slope)} if is_mesh else {})
+    scene = spring_scene(tables, values | body, corner, {"thing.obj": _ridge(slope)} if is_mesh else {})
     return _evaluate_contact(rng, scene, "glides", tables)
 
 
 def landing(rng: np.random.Generator) -> Trial:
     """Evaluate a particle that falls on a plane, or on a triangle of the same cloth."""
-    rate, tolerance = _rate_and_tolerance(rng)
+    rate, tolerance = rate_and_tolerance(rng)
     thickness, gravity = log_uniform(rng, 0.1, 1.0), log_uniform(rng, 0.1, 10.0)
     speed, is_layer = float(rng.uniform(0.0, 0.5)), rng.random() < 0.5
-    time = (int(rng.integers(2, 12)) - log_uniform(rng, 1e-3, 0.5)) / rate
+    time = (int(rng.integers(2, min(12, int(rate)))) - log_uniform(rng, 1e-3, 0.5)) / rate
     height = thickness + speed * time + 0.5 * gravity * time * time
     values: dict[str, Any] = {"rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, -gravity]}
     values["contact.thickness"] = thickness
@@ -134,19 +134,19 @@ def landing(rng: np.random.Generator) -> Trial:
             "triangles": [[0, 1, 2]],
         }
         values |= {"cloth.anchors": ["0", "1", "2", "4"], "contact.self": True, "contact.friction": [0.0, 0.0]}
-        scene = _spring_scene(tables, values)
+        scene = spring_scene(tables, values)
     else:
         tables = _NO_SPRINGS | {
             "positions": [[0.0, 0.0, 3.0 * height], [0.0, 0.0, height]],
             "velocities": [[0.0] * 3, [0.0, 0.0, -speed]],
         }
-        scene = _spring_scene(tables, values | {"thing.shape": "plane"}, (0.0, 0.0, 0.0))
+        scene = spring_scene(tables, values | {"thing.shape": "plane"}, (0.0, 0.0, 0.0))
     return _evaluate_contact(rng, scene, "lands", tables)
 
 
 def jaws(rng: np.random.Generator) -> Trial:
     """Evaluate a particle on a spring between the jaws of a parallel gripper that close."""
-    rate, tolerance = _rate_and_tolerance(rng)
+    rate, tolerance = rate_and_tolerance(rng)
     thickness, frequency = log_uniform(rng, 0.005, 0.1), log_uniform(rng, 0.3, 10.0)
     opening = 2.0 * thickness * float(rng.uniform(1.1, 2.5))
     offset, speed = float(rng.uniform(-0.4, 0.4)) * opening, float(rng.uniform(-0.5, 0.5))
@@ -174,22 +174,24 @@ def jaws(rng: np.random.Generator) -> Trial:
         "contact.thickness": thickness,
         "contact.damping": 0.0,
     }
-    scene = _spring_scene(tables, values)
+    scene = spring_scene(tables, values)
     events = {0: [Target("hand", [0.0, 0.0, 1.0])], int(rng.integers(1, 8)): [Grasp("hand", True)]}
     return _evaluate_contact(rng, scene, "is pinched", tables, events)
 
 
-def _rate_and_tolerance(rng: np.random.Generator) -> tuple[float, float]:
-    return float(rng.integers(24, 61)), log_uniform(rng, 1e-8, 1e-4)
+def rate_and_tolerance(rng: np.random.Generator) -> tuple[float, float]:
+    """Draw an integer rate [Hz] and a tolerance [m]; frames of low rates consist of several pieces."""
+    return float(round(log_uniform(rng, 8.0, 60.0))), log_uniform(rng, 1e-8, 1e-4)
 
 
-def _frame_count(rate: float) -> int:
+def frame_count(rate: float) -> int:
+    """Return the number of frames of a scene at a rate [Hz]."""
     return math.ceil(DURATION * rate)
 
 
 def _hung_cells(rng: np.random.Generator, resolution: list[int]) -> dict[str, Any]:
     """Draw parameters of few cells without damping that hang from their upper edge."""
-    rate, tolerance = _rate_and_tolerance(rng)
+    rate, tolerance = rate_and_tolerance(rng)
     modulus = log_uniform(rng, 5.0, 300.0)
     return {
         "rate": rate,
@@ -220,12 +222,12 @@ def _evaluate_sheet(
         is_free = scene.model().inverse_masses > 0.0
         state.v[1] += speed * is_free * np.linspace(0.0, 1.0, len(is_free))
     words = f"{values['cloth.resolution']} {words}"
-    frames = _frame_count(values["rate"])
+    frames = frame_count(values["rate"])
     draw = RandomScene(scene=scene, state=state, frames=frames, words=words, changes=changes or {})
     return evaluate_trial(draw, {**values, "velocities": state.v.T.tolist(), "changes": str(changes or {})})
 
 
-def _spring_scene(
+def spring_scene(
     tables: dict[str, Any],
     values: dict[str, Any],
     obstacle_position: tuple[float, float, float] | None = None,

@@ -138,7 +138,7 @@ def _values(
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Return parameters of raw springs with a drawn rate, tolerance and drag, and the springs' file."""
     values = {
-        "rate": float(rng.integers(24, 121)),
+        "rate": float(rng.integers(10, 121)),
         "tolerance": log_uniform(rng, 1e-6, 1e-2),
         "cloth.springs": "springs.yaml",
         "cloth.anchors": anchors,

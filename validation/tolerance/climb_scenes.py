@@ -217,7 +217,7 @@ def _evaluate_springs(
     air: bool = True,
 ) -> Trial:
     """Evaluate raw springs with a drawn tolerance, rate and drag."""
-    tolerance, rate = log_uniform(rng, 1e-9, 1e-2), float(rng.integers(24, 121))
+    tolerance, rate = log_uniform(rng, 1e-9, 1e-2), float(rng.integers(10, 121))
     drag = 0.0 if not air or (tables["springs"] and rng.random() < 0.5) else log_uniform(rng, 0.02, 5.0)
     words = f"{len(tables['springs'])} springs, drag {drag:.2g}/s, {rate:g} Hz"
     more: dict[str, Any] = {"linear": linear, "gravity": gravity, "duration": DURATION, "rate": rate, "drag": drag}
@@ -290,7 +290,7 @@ def _hung_sheet(rng: np.random.Generator) -> dict[str, Any]:
     """Draw the parameters of a hung grid."""
     stretch = log_uniform(rng, 20.0, 5e3)
     return {
-        "rate": float(rng.integers(24, 121)),
+        "rate": float(rng.integers(10, 121)),
         "tolerance": log_uniform(rng, 1e-6, 1e-2),
         "cloth.resolution": [int(rng.integers(2, 9)), int(rng.integers(2, 9))],
         "cloth.size": [log_uniform(rng, 0.3, 8.0), log_uniform(rng, 0.3, 8.0)],
