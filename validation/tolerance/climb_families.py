@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from validation.tolerance import climb_kinks, climb_scenes
+from validation.tolerance import climb_hidden, climb_kinks, climb_scenes
 from validation.tolerance.climb_scenes import Trial
 
 #: Evaluation of each family by the draws of a generator, and the number of coordinates that a climb varies.
@@ -38,4 +38,8 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
     "gliding": (climb_kinks.gliding, 11),
     "landing": (climb_kinks.landing, 8),
     "jaws": (climb_kinks.jaws, 11),
+    "free_fall": (climb_hidden.free_fall, 6),
+    "crossing": (climb_hidden.crossing, 9),
+    "passing": (climb_hidden.passing, 9),
+    "dipping": (climb_hidden.dipping, 10),
 }
