@@ -16,6 +16,7 @@ from cloth_sim_ros.physics.integrators.base import TOLERANCE, Advance, Integrato
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.state.controller_state import PLASTIC_LENGTHS_KEY
 from cloth_sim_ros.physics.state.state import State
 
 #: Longest interval of one advance [s]: a frame of a node at 60 Hz.
@@ -88,6 +89,8 @@ def simulate(
     if (np.diff(times) < 0.0).any() or not times.size or times[0] < 0.0 or times[-1] > until:
         raise ValueError(f"save_at is {times.tolist()} s; it must hold times that ascend from 0 to until, {until} s")
     stepper = integrator or make_integrator("auto", tolerance=tolerance)
+    if PLASTIC_LENGTHS_KEY not in state.memory:
+        plan.return_hinges(state)
     positions, velocities, advances = [], [], list[Advance]()
     now, spacing = 0.0, 4.0 * math.ulp(until)
     for end in [*times.tolist(), until]:

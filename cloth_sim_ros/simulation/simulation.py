@@ -17,7 +17,11 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, a
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.state.controller_state import estimate_next_frame, reset_step_control
+from cloth_sim_ros.physics.state.controller_state import (
+    PLASTIC_LENGTHS_KEY,
+    estimate_next_frame,
+    reset_step_control,
+)
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.plan_cache import PlanCache
@@ -92,6 +96,10 @@ class Simulation(ExclusiveAccess):
         self._repeatable_frame: Frame | None = None
         self._plan_cache = PlanCache(scene)
         self._apply_scene(scene)
+        for start in (self._initial, self.state):
+            # Later states are on the yield surface, and mapping would round their lengths.
+            if PLASTIC_LENGTHS_KEY not in start.memory:
+                self.plan.return_hinges(start)
         # Only frame 0 and a new thickness need the check: later states are reached from a collision-free start.
         if self.plan.contact is not None:
             thickness = scene.contact.thickness
@@ -367,6 +375,7 @@ class Simulation(ExclusiveAccess):
         self._apply_scene(scene)
         if affects_no_motion:
             return
+        self.plan.return_hinges(self.state)
         if is_small_change(values, before, scene, self.state.v):
             estimate_next_frame(self.state)
         else:

@@ -20,9 +20,11 @@ from cloth_sim_ros.physics.model.forces.hinge_springs import signed_lengths
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.simulate import simulate
 from cloth_sim_ros.physics.state.controller_state import PLASTIC_LENGTHS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
 MODELS = ("crossed", "altitude", "quadratic")
@@ -279,3 +281,36 @@ def test_model_without_friction_has_no_plastic_lengths() -> None:
     simulation.advance([])
     assert simulation.plan.plastic is None
     assert not any(name.startswith("bending") for name in simulation.state.memory)
+
+
+def test_folded_hinge_starts_at_its_yield_surface() -> None:
+    # Its wings are folded far beyond the limit. The first step of a run would err in first order.
+    friction, joints = BendingFriction([[0, 1, 2, 3]], 0.0, 2.0, 0.002), PairSprings([[0, 2], [0, 3]], 0.0, 3.0)
+    positions = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-0.1, 0.5, 0.05], [0.1, 0.5, 0.05]])
+    velocities = np.array([[0.0, 0.0, 0.0]] * 2 + [[0.0, 0.0, -0.5]] * 2)
+    state = State(positions, velocities)
+    motion = simulate(Model(np.full(4, 0.01), [friction, joints], anchors=[0, 1]), state, 1.0 / 60.0, tolerance=1e-5)
+    # Six thousand if plastic lengths are mapped within the first step.
+    assert motion.advances[0].evaluations < 1000
+
+
+def test_lower_yield_limit_costs_no_first_order_step() -> None:
+    parameters = {
+        "tolerance": 1e-5,
+        "cloth.resolution": [6, 6],
+        "cloth.size": [0.3, 0.3],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+        "cloth.anchors": ["top"],
+        "bending.model": "crossed",
+        "material.bending_modulus": 1e-3,
+        "bending.friction_moment": 1e-3,
+        "bending.yield_curvature": 5.0,
+        "grippers": [""],
+    }
+    simulation = Simulation(Scene.from_parameters(parameters))
+    for _ in range(20):
+        simulation.advance()
+    done = simulation.advance([SetParameters({"bending.yield_curvature": 0.05})]).advance
+    # Twenty thousand if plastic lengths are mapped within the first step.
+    assert done is not None
+    assert done.evaluations < 5000

@@ -340,24 +340,39 @@ def test_step_below_rounding_balances_rounding_and_order(excess: float, scale: f
 
 def test_doubled_activity_is_not_predicted() -> None:
     model, state = critical()
-    memory = ErrorState(error=1e-12, activity=1.0, step=1e-3, coefficient=1e-6, duration=0.01)
+    memory = ErrorState(error=1e-12, activity=1e-3, step=1e-3, coefficient=1e-6, duration=0.01)
     rule = ErrorRule(memory, 1e-6, 4, state, StabilityRule(compile(model), StabilityState(), state.x), lambda _: 0.0)
-    assert rule.predict((10,), 0.01, (0.0, 0.0), 1.9, 0.0)[0] == pytest.approx(1.9**3 * 1e-12)
-    assert rule.predict((10,), 0.01, (0.0, 0.0), 2.1, 0.0)[0] == math.inf
+    assert rule.predict((10,), 0.01, (0.0, 0.0), 1.9e-3, 0.0)[0] == pytest.approx(1.9**3 * 1e-12)
+    assert rule.predict((10,), 0.01, (0.0, 0.0), 2.1e-3, 0.0)[0] == math.inf
     # A single run has an error of second order; a run of a few steps has no order.
-    assert rule.predict((20,), 0.01, (0.0, 0.0), 1.0, 0.0)[0] == pytest.approx(1e-12 / 4)
-    assert rule.predict((5,), 0.01, (0.0, 0.0), 1.0, 0.0)[0] == math.inf
+    assert rule.predict((20,), 0.01, (0.0, 0.0), 1e-3, 0.0)[0] == pytest.approx(1e-12 / 4)
+    assert rule.predict((5,), 0.01, (0.0, 0.0), 1e-3, 0.0)[0] == math.inf
+
+
+def test_activity_beyond_the_estimated_error_is_not_predicted() -> None:
+    # An oscillator with this activity [m/s] errs by 0.01 s * activity / (6 * 10^2) in ten steps: 1e-6 m.
+    activity, (model, state) = 0.06, critical()
+    stability = StabilityRule(compile(model), StabilityState(), state.x)
+
+    def predict(budget: float, error: float) -> float:
+        memory = ErrorState(error=error, activity=activity, step=1e-3, coefficient=1e-6, duration=0.01)
+        rule = ErrorRule(memory, budget, 4, state, stability, lambda _: 0.0)
+        return rule.predict((10,), 0.01, (0.0, 0.0), activity)[0]
+
+    assert predict(1.9e-6, 0.4e-6) == math.inf
+    assert predict(1.9e-6, 0.6e-6) < math.inf
+    assert predict(2.1e-6, 0.0) < math.inf
 
 
 def test_doubled_jerk_change_is_predicted_if_it_displaces_little() -> None:
     model, state = critical()
     stability = StabilityRule(compile(model), StabilityState(), state.x)
     jerk_change = 6e-4  # displaces 0.5 s * 6e-4 m/s / (3 * 10^2) = 1e-6 m
-    memory = ErrorState(error=1e-12, activity=1.0, step=1e-3, coefficient=1e-6, duration=0.01)
+    memory = ErrorState(error=1e-12, activity=1e-3, step=1e-3, coefficient=1e-6, duration=0.01)
 
     def predict(budget: float, earlier: float) -> float:
         rule = ErrorRule(attrs.evolve(memory, jerk_change=earlier), budget, 4, state, stability, lambda _: 0.0)
-        return rule.predict((10,), 0.01, (0.0, 0.0), 1.0, jerk_change)[0]
+        return rule.predict((10,), 0.01, (0.0, 0.0), 1e-3, jerk_change)[0]
 
     assert predict(1.9e-6, 0.4 * jerk_change) == math.inf
     assert predict(1.9e-6, 0.6 * jerk_change) < math.inf

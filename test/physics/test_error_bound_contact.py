@@ -11,6 +11,7 @@ import pytest
 from support.error_bound import SPRINGS, error_by_evaluations, error_of_frames, unflagged_frames
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -608,3 +609,52 @@ def test_table_that_moves_is_not_left_out_of_late_pieces() -> None:
     plan = Equations().plan(frame, ReferenceMotion(frame.before))
     exact = dop853(plan, frame.t, frame.duration, motion, relative_tolerance=1e-12, absolute_tolerance=1e-13)
     assert largest_distance(frame.after.x, exact.x) <= tolerance
+
+
+def test_hem_that_dips_onto_its_sheet_within_a_frame_is_felt() -> None:
+    # A hem particle is above a layer at both ends of a frame. A fast corner of the same sheet hides its speed.
+    rate, amplitude, thickness, tolerance = 30.0, 6e-3, 2e-3, 1e-6
+    frequency, density, hem, corner = 2.0 * np.pi * rate, 0.3, 3, 8
+    modulus = 0.5 * density * frequency * frequency
+    parameters = {
+        "rate": rate,
+        "tolerance": tolerance,
+        "cloth.resolution": [3, 4],
+        "cloth.size": [2.0, 3.0],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+        "cloth.anchors": [str(k) for k in range(12) if k not in (hem, corner)],
+        "material.density": density,
+        "material.damping": 0.01,
+        "material.stretch_modulus": 10.0 * modulus,
+        "material.stretch_modulus_weft": modulus,
+        "material.shear_modulus": 1e-3 * modulus,
+        "bending.model": "none",
+        "air.drag": 0.0,
+        "wind.normal_drag": 0.0,
+        "gravity": [0.0, 0.0, 0.0],
+        "grippers": [""],
+        "contact.self": True,
+        "contact.friction": [0.0, 0.0],
+        "contact.thickness": thickness,
+        "contact.damping": 0.0,
+    }
+    # The layer is a wedge under the hem, whose lowest point without contact is below the thickness.
+    height = 0.7 * thickness / 0.9797959 - 0.02 * 0.2041241 + amplitude
+    positions = np.zeros((12, 3))
+    for row in range(3):
+        along = 0.96**0.5 * min(row, 1) + max(row - 1, 0)
+        low = -0.2 if row else 0.0
+        positions[4 * row] = [-0.5, along, low]
+        positions[4 * row + 1] = [0.5, along, low]
+        positions[4 * row + 2] = [0.0, row + 0.02, height + 1.0]
+        positions[4 * row + 3] = [0.0, row + 0.02, height]
+    positions[hem, 2] += amplitude
+    velocities = np.zeros((12, 3))
+    velocities[corner, 1] = 1.0
+    state = State(positions, velocities)
+    simulation, capture = Simulation(Scene.from_parameters(parameters), state), FrameCapture()
+    before = simulation.state.shallow_copy()
+    frame = capture.capture(simulation, simulation.scene, before, simulation.advance())
+    assert frame is not None
+    assert not frame.flagged
+    assert error_by_evaluations([frame]) <= tolerance

@@ -46,7 +46,7 @@ public:
     void set(const double* v, const std::vector<std::int64_t>& rank) {
         for (int c = 0; c < 3; ++c)
             for (std::int64_t i = 0; i < count_; ++i)
-                low_[place(i, c, rank)] = high_[place(i, c, rank)] = static_cast<T>(v[c * count_ + i]);
+                low_[offset(i, c, rank)] = high_[offset(i, c, rank)] = static_cast<T>(v[c * count_ + i]);
     }
     /// Include the velocities of a row of particles from the i-th on, whose components are `pitch` apart; or set them.
     void include_row(bool sets, std::int64_t first, std::int64_t columns, const T* v, std::int64_t pitch) {
@@ -89,7 +89,7 @@ public:
         for (std::int64_t i = 0; i < count_; ++i) {
             double square = 0.0;
             for (int c = 0; c < 3; ++c) {
-                const std::int64_t k = place(i, c, rank);
+                const std::int64_t k = offset(i, c, rank);
                 const double width = static_cast<double>(high_[k]) - static_cast<double>(low_[k]);
                 square = fma(width, width, square);
             }
@@ -98,7 +98,7 @@ public:
     }
 
 private:
-    std::int64_t place(std::int64_t i, int c, const std::vector<std::int64_t>& rank) const {
+    std::int64_t offset(std::int64_t i, int c, const std::vector<std::int64_t>& rank) const {
         return in_quads_ ? 4 * rank[i] + c : c * count_ + i;
     }
     std::int64_t count_ = 0;

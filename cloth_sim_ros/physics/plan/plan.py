@@ -476,6 +476,14 @@ class Plan(PlanQueries, Uncopyable):
         state.memory[PLASTIC_LENGTHS_KEY], work = self.plastic.return_mapping(state.x, state.memory)
         return work
 
+    def return_hinges(self, state: State) -> None:
+        """Map a state's plastic lengths to the yield surface; hinges of a folded start are beyond it.
+
+        A run maps them at the end of its first step. Its error would be of first order then.
+        """
+        if self.plastic is not None:
+            state.memory[PLASTIC_LENGTHS_KEY], _ = self.plastic.return_mapping(state.x, state.memory)
+
     def steady(self) -> bool:
         """Return true if no force depends explicitly on time until the next event."""
         return all(force.steady() for force in self.model.forces)
