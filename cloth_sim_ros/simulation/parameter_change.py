@@ -1,12 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small changes of uniform forces that need no new error estimate.
+"""Changes of uniform forces by changed parameters.
 
-Gusts change the wind many times a second.
+Gusts change the wind many times a second. Small changes keep the step limit and the last error estimate.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 import numpy as np
@@ -22,8 +23,10 @@ _UNIFORM_PARAMETERS = frozenset(("gravity", "air.drag", "wind.velocity", "materi
 _MAX_DRAG_CHANGE, _MAX_DAMPING_CHANGE = 0.04, 0.01
 
 
-def is_small_change(names: Collection[str], before: Scene, scene: Scene, v: Array) -> bool:
-    """Return True if changed parameters add so little acceleration that error estimates stay valid.
+def acceleration_change(names: Collection[str], before: Scene, scene: Scene, v: Array) -> float:
+    """Return the acceleration [m/s^2] that changed parameters add; infinite if they change more than uniform forces.
+
+    A small change of damping adds none, because it excites no vibration.
 
     Args:
         names: names of the changed parameters.
@@ -32,21 +35,21 @@ def is_small_change(names: Collection[str], before: Scene, scene: Scene, v: Arra
         v: velocities [m/s], shape (3, n).
     """
     if not _UNIFORM_PARAMETERS.issuperset(names) or scene.step:
-        return False
+        return math.inf
     if scene.air.added_mass and scene.wind.velocity != before.wind.velocity:
         # The force of carried air is of second degree in the speed of the wind.
-        return False
+        return math.inf
     drag_change = abs(scene.air.drag - before.air.drag)
     damping_change = abs(scene.material.damping - before.material.damping)
     if drag_change * scene.period > _MAX_DRAG_CHANGE or damping_change > _MAX_DAMPING_CHANGE:
-        return False
+        return math.inf
     # Acceleration of panels per wind speed [1/s]: drag over mass, both by area.
     panel_drag_rate = (scene.wind.normal_drag + scene.wind.tangential_drag) / scene.material.density
     speeds = np.abs(v).max(axis=1).tolist() if drag_change else (0.0, 0.0, 0.0)
     components = zip(scene.gravity, before.gravity, scene.wind.velocity, before.wind.velocity, speeds, strict=True)
+    largest = 0.0
     for new, old, wind, old_wind, speed in components:
         change = abs(new - old) + abs(scene.air.drag * wind - before.air.drag * old_wind)
         change = change + panel_drag_rate * abs(wind - old_wind) + drag_change * speed
-        if not change <= MAX_VELOCITY_CHANGE / scene.period:
-            return False
-    return True
+        largest = change if not change <= largest else largest
+    return largest

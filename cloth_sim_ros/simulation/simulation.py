@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.state.controller_state import (
     PLASTIC_LENGTHS_KEY,
-    estimate_next_frame,
+    count_force_change,
     reset_step_control,
 )
 from cloth_sim_ros.physics.state.state import State
@@ -46,7 +46,7 @@ from cloth_sim_ros.simulation.events import (
 from cloth_sim_ros.simulation.exclusive import ExclusiveAccess, between_frames, exclusive
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.initial_state import apply_grasp, starting_states, stop_anchored, stop_particles
-from cloth_sim_ros.simulation.parameter_change import MAX_VELOCITY_CHANGE, is_small_change
+from cloth_sim_ros.simulation.parameter_change import MAX_VELOCITY_CHANGE, acceleration_change
 from cloth_sim_ros.simulation.sleep import SleepRule, is_asleep, sleeps_until, wake
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
@@ -376,8 +376,9 @@ class Simulation(ExclusiveAccess):
         if affects_no_motion:
             return
         self.plan.return_hinges(self.state)
-        if is_small_change(values, before, scene, self.state.v):
-            estimate_next_frame(self.state)
+        change = acceleration_change(values, before, scene, self.state.v)
+        if change <= MAX_VELOCITY_CHANGE / scene.period:
+            count_force_change(self.state, change, self._tolerance)
         else:
             reset_step_control(self.state, entirely=is_step_stable)
         wake(self.state)

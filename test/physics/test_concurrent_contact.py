@@ -169,7 +169,7 @@ def culled(request: pytest.FixtureRequest) -> tuple[Plan, State]:
     model, places = flat_sheet(
         8, 8, self_contact(sheet.triangles(), sheet.positions(), 4e-3), size=0.3, listed=request.param
     )
-    return compile(model), State(places, 0.05 * np.random.default_rng(0).normal(size=places.shape))
+    return compile(model), State(places, 0.2 * np.random.default_rng(0).normal(size=places.shape))
 
 
 def test_a_violated_culling_repeats_requested_runs(culled: tuple[Plan, State]) -> None:

@@ -29,6 +29,7 @@ REASONS = {
     "energy.py": {1e-12: "rounding of a sum of energies", 8.0: "roundings", 0.125: "h^2/8 v'Kv of the leapfrog"},
     "error.py": {
         3.0: "order of a single run's error in a frame: h^3 x'''",
+        6.0: "phase error of the leapfrog, 1/24, over its activity, 1/4",
         4.0: "roundings; time without an estimate if the error is far below, see `max_estimate_period`",
         1e3: "a prediction that is off by more causes an estimate at any margin",
         1e-6: "two lengths of frames that differ by rounding",

@@ -207,6 +207,46 @@ def test_joint_beside_free_fall_is_within_tolerance(
     assert np.linalg.norm(joint - (hung + displacement), axis=1).max() <= tolerance
 
 
+def test_small_changes_of_gravity_count_together() -> None:
+    # A slow swing hides the joint that they excite. A stiff spring requires 919 steps a frame.
+    rate, tolerance, first, signs = 47.0, 3.93277102e-7, 85, [1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0, -1.0]
+    step = 1.0 / rate / 919
+    frequencies = swing, frequency = np.array([0.826371028, 0.135711583 / step])
+    amplitude = 0.04840609 * 0.8 * tolerance * 24.0 / (swing**3 * step * step)
+    change = 1.47129672 * amplitude * swing**3 / rate
+    springs = {
+        "positions": [
+            [0.0, 0.0, 0.0],
+            [amplitude, 0.0, -9.81 / swing**2],
+            [0.0, 0.0, -9.81 / frequency**2],
+            [5.0, 0.0, 0.0],
+            [5.5, 0.0, 0.0],
+        ],
+        "velocities": [[0.0] * 3, [0.0, amplitude * swing, 0.0], *[[0.0] * 3] * 3],
+        "masses": 1.0,
+        "springs": [[0, 2], [0, 1], [3, 4]],
+        "rest_lengths": [0.0, 0.0, 0.5],
+        "stiffness": [frequency**2, swing**2, 0.25 * (1.9008 / step) ** 2],
+        "k_d0": 0.0,
+    }
+    parameters = {**SPRINGS, "rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, -9.81]}
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    gravity = -9.81 + change * np.cumsum([*signs, *[0.0] * (round(rate) - len(signs))])
+    events = {first + k: [SetParameters({"gravity": [0.0, 0.0, gravity[k]]})] for k in range(len(signs))}
+    frames = unflagged_frames(scene, first + round(rate), events)[first:]
+    start = frames[0].before
+    x, v = (start.x[:, 1:3] - start.x[:, :1]), start.v[:, 1:3]
+    cosine, sine, error = np.cos(frequencies / rate), np.sin(frequencies / rate), 0.0
+    for frame, weight in zip(frames, gravity, strict=True):
+        equilibrium = np.zeros((3, 2))
+        equilibrium[2] = weight / frequencies**2
+        away = x - equilibrium
+        x = equilibrium + away * cosine + v / frequencies * sine
+        v = v * cosine - away * frequencies * sine
+        error = max(error, float(np.linalg.norm(frame.after.x[:, 1:3] - frame.after.x[:, :1] - x, axis=0).max()))
+    assert error <= tolerance
+
+
 def test_pass_beside_a_large_circle_is_within_tolerance() -> None:
     from scipy.integrate import solve_ivp
 

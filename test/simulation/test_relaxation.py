@@ -22,14 +22,14 @@ def simulation(**values: Any) -> Simulation:
 
 def test_the_tolerance_in_force_is_a_multiple_of_the_scenes() -> None:
     cloth = simulation()
-    evaluations = [cloth.advance().advance.evaluations for _ in range(20)][-1]
+    evaluations = sum(cloth.advance().advance.evaluations for _ in range(20))
     frame = cloth.advance([Relax(10.0)])
     assert frame.events == (Relax(10.0),)
     assert frame.tolerance == pytest.approx(1e-5)
     assert cloth.scene.tolerance == 1e-6, "the user's own"
-    relaxed = [cloth.advance() for _ in range(20)][-1]
-    assert relaxed.advance.evaluations < evaluations
-    assert "tolerance 1e-05 m" in relaxed.advance.reason
+    relaxed = [cloth.advance().advance for _ in range(20)]
+    assert sum(advance.evaluations for advance in relaxed) < evaluations
+    assert "tolerance 1e-05 m" in relaxed[-1].reason
     assert cloth.advance([Relax(1.0)]).tolerance == 1e-6
     assert "relaxed" not in cloth.state.memory
 

@@ -195,12 +195,12 @@ def test_state_file_with_invalid_cloth_id_is_refused(cloth, words):
 def test_error_estimate_of_an_earlier_version_is_accepted() -> None:
     arrays = saved().arrays()
     name = "memory.control.error_estimate"
-    arrays[name] = np.zeros(15)
+    arrays[name] = np.zeros(16)
     arrays[name][[0, 1, 10]] = 1.0
     arrays[name] = arrays[name][:13]
     State.from_bytes(archive(arrays))
     arrays[name] = arrays[name][:12]
-    with pytest.raises(ValueError, match=r"shape \(12,\); it must be float64 and \(15,\)"):
+    with pytest.raises(ValueError, match=r"shape \(12,\); it must be float64 and \(16,\)"):
         State.from_bytes(archive(arrays))
 
 

@@ -119,9 +119,6 @@ class Controller:
         #: Error budget of the frame [m].
         tolerance = math.inf if options.tolerance is None else options.tolerance
         self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
-        measure = partial(self._measure_displacement, t, state.x)
-        self._error = ErrorRule(error, self.budget, options.n_runs, state, self._stability, measure)
-        self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
         self.refinement, self.estimates_error = error.refinement, has_tolerance and is_due
@@ -145,6 +142,9 @@ class Controller:
         limits = memory.max_step, self._fallback_count, contact_time, self.limit, self._ratio
         #: Work of explicit steps.
         self.work = WorkBudget(plan, options.work, duration, *limits)
+        measure = partial(_measure_displacement, plan, self.work, t, state.x)
+        self._error = ErrorRule(error, self.budget, options.n_runs, state, self._stability, measure)
+        self._precision = PrecisionRule(plan, state, duration, self.budget)
         self._changes = ChangeRule(plan, ChangeState.load(state), self.work, may_touch=may_touch)
         # Even the longest stable steps may exceed the work limit of the frame.
         #: True if explicit steps are abandoned.
@@ -538,12 +538,6 @@ class Controller:
         self.work.add(tableau.evaluations - evaluations, self.work.weight)
         return error
 
-    def _measure_displacement(self, t: float, x: Array, errors: Array) -> float:
-        """Return the displacement [m] that velocity errors [m/s] cause later, and count its work."""
-        displacement, evaluations = self._plan.velocity_displacement(t, x, errors, VELOCITY_ERROR_TIME)
-        self.work.add(evaluations)
-        return displacement
-
     def _count_estimates(self, counts: tuple[int, ...]) -> int:
         """Return the number of combinations whose error is estimated, so that the chosen one is reliable.
 
@@ -560,7 +554,7 @@ class Controller:
         tableau.commit(self.n_runs, end)
         for state, time, duration in ((self._state, t, -half_step), (end, t + piece.length, half_step)):
             change = missed_velocity_change(self._plan, state, time, duration)
-            error += self._measure_displacement(time, state.x, change)
+            error += _measure_displacement(self._plan, self.work, time, state.x, change)
             self.work.add(EVALUATIONS)
         return error
 
@@ -857,3 +851,10 @@ class Controller:
         return Advance(
             frame.steps, evaluations, step, self.limit, self.rejected, name, limited_by, error, flagged, reason
         )
+
+
+def _measure_displacement(plan: Plan, work: WorkBudget, t: float, x: Array, errors: Array) -> float:
+    """Return the displacement [m] that velocity errors [m/s] cause later, and count its work."""
+    displacement, evaluations = plan.velocity_displacement(t, x, errors, VELOCITY_ERROR_TIME)
+    work.add(evaluations)
+    return displacement

@@ -329,6 +329,7 @@ class ErrorRule:
         is_far_below = error <= CONSTANTS.low_error_fraction * self.budget
         memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, frame.activity
         memory.jerk_change, memory.grip_jerk_change = frame.jerk_change, frame.grip_jerk_change
+        memory.force_change = 0.0
         # A path without effect must not hide another: a change of jerk is known as far as it is in the estimate.
         known_error = CONSTANTS.estimate_trust_factor * errors[max(next_runs - 2, 0)]
         known_jerk_change = known_error / (displacement_by_jerk(1.0, counts[0]) * length * memory.duration)

@@ -144,6 +144,8 @@ class ErrorState(ControllerState):
     #: Largest change of jerk by grippers' paths, see `GripBinding.jerk_change`, over the square of the part's length
     #: [m/s^3].
     grip_jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
+    #: Sum of accelerations by small changes of uniform forces since the last estimate [m/s^2].
+    force_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
 
 @attrs.define
@@ -335,15 +337,23 @@ def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
     return with_jaws(memory, np.stack([jaws[:, 0] + duration * jaws[:, 1], jaws[:, 1]], axis=1))
 
 
-def estimate_next_frame(state: HasMemory) -> None:
-    """Let the next advance estimate its error if it combines runs, because forces have changed a little.
+def count_force_change(state: HasMemory, acceleration: float, tolerance: float | None) -> None:
+    """Count a small change of uniform forces; the next advance estimates its error if the changes may matter.
 
-    A single run is more active then. Its error is known as far as the last estimate contained this activity.
+    They always matter to combined runs. A force per mass that changes by a excites vibrations of the amplitude a/w^2.
+    The phase of a single run errs by w^3 h^2/24 a second. So it errs by a h/12 a second at most, because w h <= 2.
+
+    Args:
+        state: its controller state of errors becomes up to date.
+        acceleration: change of acceleration [m/s^2].
+        tolerance: error tolerance [m]; None for none.
     """
     error = ErrorState.load(state)
-    if error.n_runs > 1.0:
+    error.force_change += acceleration
+    target = CONSTANTS.error_target_fraction * CONSTANTS.error_budget_fraction * (tolerance or math.inf)
+    if error.n_runs > 1.0 or error.force_change * error.step > 12.0 * target:
         error.time_until_estimate = 0.0
-        error.store(state)
+    error.store(state)
 
 
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
