@@ -73,6 +73,8 @@ REASONS = {
             (0.02, 0.2, 0.35, 0.45, 0.6, 0.75, 0.8, 4.0, 4.5, 6.0, 25.0),
             "by the eigenvalues of the combinations (test_control_rules.py)",
         ),
+        84.0: "by the phases of the leapfrog, see `count_confirming_runs`",
+        64.0: "by the phases of the leapfrog, see `count_confirming_runs`",
     },
     "sleep.py": {
         4.0: "roundings",

@@ -207,6 +207,43 @@ def test_joint_beside_free_fall_is_within_tolerance(
     assert np.linalg.norm(joint - (hung + displacement), axis=1).max() <= tolerance
 
 
+@pytest.mark.parametrize("frequency", [14480.353546072498, 6646.318264, 1429.4450306971826])
+def test_vibration_that_two_runs_end_alike_is_within_tolerance(frequency: float) -> None:
+    # The phases of both runs of an estimate differ by whole turns. The spring is released at eight tolerances.
+    tolerance, rate, amplitude = 1e-5, 25.0, 8e-5
+    springs = {
+        "positions": [[0.0, 0.0, 0.0], [amplitude, 0.0, 0.0]],
+        "masses": 1.0,
+        "springs": [[0, 1]],
+        "rest_lengths": 0.0,
+        "stiffness": frequency * frequency,
+        "k_d0": 0.0,
+    }
+    parameters = {**SPRINGS, "rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, 0.0]}
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    frames = unflagged_frames(scene, round(rate), {})
+    exact = amplitude * np.cos(frequency * np.arange(1, len(frames) + 1) / rate)
+    x = np.array([frame.after.x[0, 1] - frame.after.x[0, 0] for frame in frames])
+    assert np.abs(x - exact).max() <= tolerance
+
+
+def test_flight_past_an_anchor_is_within_tolerance() -> None:
+    # In the sharp curve the runs' velocities differ ever more, and their positions do not. Perturbations grow by 1.23.
+    tolerance, growth = 1e-8, 1.23
+    springs = {
+        "positions": [[0.0, 0.0, 0.0], [-11.176753259569088, 1.0, 0.0], [0.0, 0.0, -2.973078204303518e-07]],
+        "velocities": [[0.0, 0.0, 0.0], [16.606043734032625, 0.0, 0.0], [0.0, 0.0, -2.688981383214214e-05]],
+        "masses": 1.0,
+        "springs": [[0, 1], [0, 2]],
+        "rest_lengths": [1.77161894, 0.0],
+        "stiffness": [65.18055512936672, 44021.54186641425],
+        "k_d0": 0.0,
+    }
+    parameters = {**SPRINGS, "rate": 42.0, "tolerance": tolerance, "gravity": [0.0, 0.0, 0.0]}
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    assert error_by_evaluations(unflagged_frames(scene, 62, {})[20:]) <= tolerance * growth
+
+
 def test_small_changes_of_gravity_count_together() -> None:
     # A slow swing hides the joint that they excite. A stiff spring requires 919 steps a frame.
     rate, tolerance, first, signs = 47.0, 3.93277102e-7, 85, [1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0, -1.0]

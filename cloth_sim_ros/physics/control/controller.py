@@ -488,12 +488,16 @@ class Controller:
         Returns:
             The error; infinite if single precision does not resolve that of further runs, which may suffice.
         """
-        estimate = self._estimate = ErrorEstimate(self._is_rough, jumps=self._changes.may_jump)
+        n_confirming = 0
+        if self.n_runs == 1 and not (self._is_rough or self.in_fallback):
+            n_confirming = self._stability.count_confirming_runs(piece.steps, piece.length)
+        estimate = ErrorEstimate(self._is_rough, jumps=self._changes.may_jump, may_coincide=n_confirming > 0)
+        self._estimate = estimate
         errors = estimate.errors
         if not self.estimates_error:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
-        n_estimates, chosen = self._count_estimates(tableau.counts), self.n_runs
+        n_estimates, chosen = max(self._count_estimates(tableau.counts), 1 + n_confirming), self.n_runs
         if chosen > 1 and not self._is_rough:
             self._measure_difference(tableau, chosen)
         while len(errors) < n_estimates:
@@ -515,6 +519,7 @@ class Controller:
         floor = partial(self._error.rounding_floor, steps=piece.steps, target=self._error.target(piece.length))
         measure = partial(self._measure_difference, tableau)
         estimate.confirm(floor, measure)
+        del errors[self.options.n_runs :]
         if not self.in_fallback:
             self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
         if self._is_rough or self._changes.may_jump or self._changes.may_kink:

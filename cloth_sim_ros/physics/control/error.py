@@ -65,7 +65,8 @@ class ErrorRule:
         self.memory, self.budget, self._max_runs, self._stability = memory, budget, max_runs, stability
         self._measure_displacement = measure_displacement
         self._x, self._v = state.x, state.v
-        #: Change of each particle by the last run in the last frame with an estimate [m], (n,); None if unknown.
+        #: Changes of each particle's position [m] and velocity [m/s] by the last run in the last frame with an
+        #: estimate, (2, n); None if unknown.
         self._known_changes = state.memory.get(PARTICLE_CHANGES_KEY)
 
     @cached_property
@@ -160,8 +161,10 @@ class ErrorRule:
         if particle_changes and self._has_hidden_change(lower_order_error, particle_changes, expected_fraction, length):
             return math.inf, math.inf
         # The larger the change by the last run, the smaller the gain of the next one; at a force jump it is 0.
-        ratio = lower_order_error / known_error
-        growth = max(1.0, ratio * memory.lower_order_coefficient / coefficient_of(counts[:-1], length))
+        growth = max(1.0, lower_order_error / (memory.lower_order_error * expected_fraction))
+        if self._known_changes is not None and (known_velocity_change := largest_component(self._known_changes[1])):
+            # Fast waves of the last estimate displace little by their velocities, other ones may displace much.
+            growth = max(growth, change[1] / (known_velocity_change * expected_fraction))
         scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
         return scale * memory.error * fraction, lower_order_error
 
@@ -186,10 +189,10 @@ class ErrorRule:
         target = self.target(length) / CONSTANTS.hidden_gain
         if largest_change <= target:
             return False
-        changes, known = self._weighted(particle_changes()), self._known_changes
+        changes, known = particle_changes(), self._known_changes
         if known is not None:
             changes = changes - (CONSTANTS.estimate_trust_factor * expected_fraction) * known
-        return not float(np.maximum.reduce(changes)) <= target
+        return not float(np.maximum.reduce(self._weighted(changes))) <= target
 
     def _weighted(self, particle_changes: Array) -> Array:
         """Return the displacements [m] by changes of positions [m] and velocities [m/s], (2, n), of particles, (n,)."""
@@ -343,7 +346,7 @@ class ErrorRule:
             displaced = max(0.0, errors[next_runs - 2] - position_change)
             memory.velocity_weight = displaced / velocity_change if velocity_change else 0.0
             if frame.particle_changes is not None and next_runs == n_runs:
-                self._known_changes = self._weighted(frame.particle_changes)
+                self._known_changes = frame.particle_changes
             memory.lower_order_error = max(errors[next_runs - 2], floor)
             memory.lower_order_coefficient = coefficient_of(counts[: next_runs - 1], length)
         is_confirmed = is_predicted and prediction_ratio <= CONSTANTS.estimate_trust_factor

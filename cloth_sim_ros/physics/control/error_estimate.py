@@ -25,6 +25,8 @@ class ErrorEstimate:
     #: Errors of T_1, T_2, ... [m], and error that force jumps at the ends of the piece may cause [m].
     errors: list[float] = attrs.Factory(list)
     end_error: float = 0.0
+    #: True if undamped waves of a single run may end alike in two runs. The largest error then is its error.
+    may_coincide: bool = False
     #: Numbers of runs whose error is approximate; and errors [m] to which those of numbers of runs were raised.
     approximate: set[int] = attrs.Factory(set)
     raised: dict[int, float] = attrs.Factory(dict)
@@ -68,7 +70,8 @@ class ErrorEstimate:
         """
         errors = self.errors
         for k in range(0 if self.is_rough else len(errors) - 1, 0, -1):
-            limit = CONSTANTS.estimate_trust_factor * max(errors[k - 1], rounding_floor(k + 1))
+            trust_factor = 1.0 if self.may_coincide else CONSTANTS.estimate_trust_factor
+            limit = trust_factor * max(errors[k - 1], rounding_floor(k + 1))
             if errors[k] > limit and k + 1 in self.approximate:
                 self.replace(k + 1, measure(k + 1))
             if errors[k] > limit:

@@ -296,7 +296,8 @@ SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP
 )
 #: Key of the velocities [m/s] at the start of the last frame, shape (3, particle_count).
 PREVIOUS_VELOCITIES_KEY = "control.velocities"
-#: Key of the change of each particle by the last run in the last frame with an estimate [m], shape (particle_count,).
+#: Key of the changes of each particle's position [m] and velocity [m/s] by the last run in the last frame with an
+#: estimate, shape (2, particle_count).
 PARTICLE_CHANGES_KEY = "control.particle_changes"
 #: Keys of step control with numbers for each particle.
 PARTICLE_KEYS = PREVIOUS_VELOCITIES_KEY, PARTICLE_CHANGES_KEY

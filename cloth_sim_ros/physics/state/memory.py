@@ -75,7 +75,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             controller_state.PARTICLE_CHANGES_KEY,
             memory[controller_state.PARTICLE_CHANGES_KEY],
             _FLOAT,
-            (particle_count,),
+            (2, particle_count),
         )
     if controller_state.SLEEP_VELOCITIES_KEY in memory and SleepState.key not in memory:
         raise ValueError(f"memory '{SleepState.key}' is missing; a state that sleeps has it")
