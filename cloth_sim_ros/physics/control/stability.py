@@ -90,9 +90,9 @@ class StabilityRule:
             steps: n, of the single run.
             length: of the run [s].
         """
-        least2 = root(_COINCIDENCE_STEPS / steps, 3) ** 2
-        fastest2 = self.memory.omega2 * (length / steps) * (length / steps)
-        if fastest2 <= least2 or self._decay(length) * least2 >= CONSTANTS.damped_wave_decay * fastest2:
+        least = root(_COINCIDENCE_STEPS / steps, 3)
+        excess = self.memory.omega2 * (length / steps) * (length / steps) / (least * least)
+        if excess <= 1.0 or self._decay(length) >= CONSTANTS.damped_wave_decay * excess:
             return 0
         return 1 if steps <= _MAX_THIRD_RUN_STEPS else 2
 
