@@ -333,6 +333,7 @@ def test_step_below_rounding_balances_rounding_and_order(excess: float, scale: f
     floor = rule.rounding_floor(1, 6, 0.0)
     n_runs, refinement = rule.choose_runs([excess * floor], 10.0, 1e-3 * floor, 0.01, 6)
     assert (n_runs, refinement) == (1, pytest.approx(10.0 * scale))
+    assert rule.choose_runs([excess * floor], 10.0, -1e-9, 0.01, 6) == (n_runs, refinement)
     # An error within its budget, here 1.7 times its target, does not allow longer steps than it needs.
     error = excess * floor
     assert rule.choose_runs([error], 10.0, 0.6 * error, 0.01, 6)[1] >= 10.0

@@ -21,8 +21,8 @@ def simulation(**values: Any) -> Simulation:
 
 
 def test_the_tolerance_in_force_is_a_multiple_of_the_scenes() -> None:
-    cloth, other = simulation(), simulation()
-    evaluations = sum(other.advance().advance.evaluations for _ in range(40))
+    cloth, unrelaxed = simulation(), simulation()
+    evaluations = sum(unrelaxed.advance().advance.evaluations for _ in range(40))
     for _ in range(19):
         cloth.advance()
     frame = cloth.advance([Relax(10.0)])

@@ -243,7 +243,8 @@ class ErrorRule:
         best = (1, refinement, math.inf)
         for n_runs, error in enumerate(errors[: self._max_runs], start=1):
             floor = rounding_fraction * self.rounding_floor(n_runs, steps, target / rounding_fraction)
-            scale = root(error / target, n_runs + 1)
+            # Earlier pieces may have left no budget.
+            scale = root(error / max(target, sys.float_info.min), n_runs + 1)
             if floor:
                 # Rounding grows with the number of steps. Steps finer than the balance of both errors gain nothing.
                 balance = root(error / floor, n_runs + 2)
