@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
 import pytest
 from support.alone import NO_MEMORY
+from support.error_bound import SPRINGS
 
 from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.control.controller import Controller
@@ -314,3 +316,34 @@ def test_lower_yield_limit_costs_no_first_order_step() -> None:
     # Twenty thousand if plastic lengths are mapped within the first step.
     assert done is not None
     assert done.evaluations < 5000
+
+
+def test_simulation_begins_folded_hinges_at_their_yield_surface() -> None:
+    springs = {
+        "positions": [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.5, 0.0], [0.3, 0.5, 0.8]],
+        "velocities": [[0.0, 0.0, 0.0]] * 3 + [[0.0, 0.0, 0.5]],
+        "masses": 0.01,
+        "springs": [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3]],
+        "rest_lengths": [1.0, 1.118, 1.118, 0.99, 0.99],
+        "stiffness": 3.0,
+        "k_d0": 0.0,
+        "triangles": [[0, 1, 2], [1, 0, 3]],
+    }
+    parameters = {
+        **SPRINGS,
+        "tolerance": 1e-5,
+        "cloth.anchors": ["0", "1", "2"],
+        "bending.model": "crossed",
+        "bending.flat": True,
+        "bending.friction_moment": 0.01,
+        "bending.yield_curvature": 0.05,
+        "material.bending_modulus": 1e-3,
+        "material.damping": 0.0,
+    }
+    scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
+    simulation = Simulation(scene)
+    plastic, state = simulation.plan.plastic, simulation.state
+    assert plastic is not None
+    lengths, work = plastic.return_mapping(state.x, {})
+    assert work > 0.0
+    assert state.memory[PLASTIC_LENGTHS_KEY] == pytest.approx(lengths, abs=1e-15)

@@ -386,3 +386,9 @@ def test_further_run_needs_a_gain_of_work(refinement: float, expected: bool) -> 
     rule = ErrorRule(ErrorState(duration=PERIOD), 1e-6, 4, state, stability, lambda _: 0.0)
     # With its share of estimates a run takes 1.08 runs by the longest steps, a combination of two 2.35.
     assert rule.may_gain(2, 1, refinement, PERIOD) is expected
+
+
+def test_largest_estimate_counts_if_runs_may_coincide() -> None:
+    estimate = ErrorEstimate(is_rough=False, may_coincide=True, errors=[1.0, 1.5, 0.1])
+    estimate.confirm(lambda _: 0.0, lambda _: 0.0)
+    assert estimate.errors[0] == 1.5

@@ -17,8 +17,9 @@ from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State,
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.error import ErrorRule
+from cloth_sim_ros.physics.control.error import ErrorRule, coefficient_of
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, finish_implicitly
+from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.control.multirate import MAX_RATIO
 from cloth_sim_ros.physics.control.stability import LIMIT_FRACTIONS, MAX_UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.control.work_budget import WorkBudget
@@ -28,7 +29,12 @@ from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model.forces.force import Force
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.plan.plan import compile
-from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState, StabilityState
+from cloth_sim_ros.physics.state.controller_state import (
+    PARTICLE_CHANGES_KEY,
+    ErrorState,
+    FallbackState,
+    StabilityState,
+)
 from cloth_sim_ros.simulation.events import Grasp, Target
 
 #: Allowed growth of an undamped wave per step.
@@ -363,6 +369,55 @@ def test_activity_beyond_the_estimated_error_is_not_predicted() -> None:
     assert predict(1.9e-6, 0.4e-6) == math.inf
     assert predict(1.9e-6, 0.6e-6) < math.inf
     assert predict(2.1e-6, 0.0) < math.inf
+
+
+def test_change_that_another_particle_hides_is_not_predicted() -> None:
+    # Both runs differ by 1e-3 m at the first particle, as in the last estimate. At the second they did not differ then.
+    (model, state), known = critical(), np.array([[1e-3, 0.0], [0.0, 0.0]])
+    stability = StabilityRule(compile(model), StabilityState(), state.x)
+    state.memory[PARTICLE_CHANGES_KEY] = known
+    coefficients = {"coefficient": 1e-9, "lower_order_coefficient": coefficient_of((10,), 0.01)}
+    errors = {"n_runs": 2.0, "error": 1e-9, "lower_order_error": 1e-3, **coefficients}
+
+    def predict(hidden: float) -> float:
+        memory = ErrorState(**errors, step=1e-3, activity=1.0, duration=0.01)
+        rule, changes = ErrorRule(memory, 2e-6, 4, state, stability, lambda _: 0.0), np.array([[1e-3, hidden], [0, 0]])
+        return rule.predict((10, 12), 0.01, (1e-3, 0.0), 1.0, 0.0, 0.0, lambda: changes)[0]
+
+    # A gain of 0.03 leaves more than the target of a micrometre of 4e-5 m, and less of 3e-5 m.
+    assert predict(4e-5) == math.inf
+    assert predict(3e-5) < math.inf
+
+
+def test_single_run_without_damping_is_confirmed_by_further_runs() -> None:
+    model, state = taut()
+    undamped, omega2 = StabilityRule(compile(model), StabilityState(), state.x), 1e6
+    undamped.memory.omega2 = omega2
+    longest = 1.9 / math.sqrt(omega2)
+    assert [undamped.count_confirming_runs(n, n * longest) for n in (10, 40, 64, 65, 300)] == [0, 1, 1, 2, 2]
+    # Phases of shorter steps do not differ by a turn.
+    assert undamped.count_confirming_runs(40, 20 * longest) == 0
+    # Damping removes the waves of other models.
+    model, state = critical()
+    damped = StabilityRule(compile(model), StabilityState(), state.x)
+    assert damped.count_confirming_runs(40, 40 * 1.9 / math.sqrt(damped.memory.omega2)) == 0
+
+
+def test_confirmed_single_run_of_the_leapfrog_stays_single() -> None:
+    # Two runs would suffice for the slow joint. The stiff one, which rests, requires thirty steps.
+    springs = PairSprings([[0, 1], [0, 2]], 0.0, [(1.8 * 30 * 60.0) ** 2, 25.0], 0.0)
+    model, state = Model([1.0] * 3, [springs], anchors=[0]), State([[0.0] * 3, [0.0] * 3, [1.0, 0.0, 0.0]])
+    plan, integrator = compile(model), Leapfrog(tolerance=1e-6)
+    for frame in range(3):
+        assert "order 2," in integrator.advance(plan, state, frame / 60, 1 / 60).reason
+
+
+def test_piece_of_a_frame_has_two_steps_at_least() -> None:
+    # The activity of free fall is not the whole change of velocity, so few frames have an estimate.
+    state = State(np.zeros((1, 3)))
+    integrator, plan = make_integrator("auto", tolerance=1e-6), compile(Model([1.0], [Gravity()]))
+    advances = [integrator.advance(plan, state, k / 12.0, 1.0 / 12.0) for k in range(24)]
+    assert sum(advance.evaluations < 10 for advance in advances) > 12
 
 
 def test_doubled_jerk_change_is_predicted_if_it_displaces_little() -> None:
