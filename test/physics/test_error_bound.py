@@ -51,6 +51,21 @@ def test_falling_particle_is_within_tolerance(drag: float, tolerance: float) -> 
     assert np.linalg.norm(positions[:, 0] - exact, axis=1).max() <= tolerance
 
 
+def test_pieces_of_one_step_aim_at_half_of_the_budget() -> None:
+    drag, rate, tolerance = 0.02, 11, 1.18e-7
+    plan, state = compile(Model([1.0], [Gravity(GRAVITY), Drag(drag)])), State(np.zeros((1, 3)), [[1.9, 0.018, 1.75]])
+    integrator, motions = make_integrator("auto", tolerance=tolerance), [state.shallow_copy()]
+    for frame in range(rate + rate // 2):
+        assert not integrator.advance(plan, state, frame / rate, 1.0 / rate).flagged
+        motions.append(state.shallow_copy())
+    times, limit_speed = np.arange(1, rate + 1) / rate, GRAVITY[:, None] / drag
+    for first in (0, rate // 2):
+        start, after = motions[first], np.stack([motion.x[:, 0] for motion in motions[first + 1 : first + rate + 1]], 1)
+        exact = start.x - (start.v - limit_speed) * np.expm1(-drag * times) / drag + limit_speed * times
+        # Errors were 0.92 tolerances where a step was refined without another number of steps.
+        assert np.linalg.norm(after - exact, axis=0).max() <= 0.7 * tolerance
+
+
 def test_stiff_and_soft_joints_are_within_tolerance() -> None:
     from scipy.linalg import expm
 

@@ -268,16 +268,16 @@ class Controller:
             self._fit_to_budget(stretch, max_step, reserved)
             steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         if self.estimates_error:
-            self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, stretch))
+            required_refinement = self._required_refinement(self.n_runs, stretch, max_step)
+            self._applied_refinement = max(self.refinement, required_refinement)
         steps = max(1, math.ceil(steps / n_pieces / ratio)) * ratio
         return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
 
     def _count_steps(self, n_runs: int, refinement: float, length: float, max_step: float) -> tuple[int, int]:
         """Return the number of steps of the first run over a length [s], and of the pieces to divide it into."""
         if self._has_tolerance:
-            refinement = max(refinement, self._required_refinement(n_runs, length))
-        fewest = MAX_UNDAMPED_STEPS if self._is_rough else self._count_fewest_steps(n_runs)
-        steps = max(steps_for(length, max_step / refinement), fewest)
+            refinement = max(refinement, self._required_refinement(n_runs, length, max_step))
+        steps = max(steps_for(length, max_step / refinement), MAX_UNDAMPED_STEPS if self._is_rough else 1)
         is_whole = n_runs == 1 and not self._has_tolerance
         n_pieces = 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
         return max(steps, self._count_fewest_steps(n_runs) * n_pieces), n_pieces
@@ -289,9 +289,14 @@ class Controller:
         """
         return 2 if n_runs == 1 and self._has_tolerance else 1
 
-    def _required_refinement(self, n_runs: int, length: float) -> float:
-        """Return the refinement that stability requires over a length [s], that of the multirate ratio included."""
-        return max(self._multirate_refinement, self._stability.min_refinement(n_runs, length))
+    def _required_refinement(self, n_runs: int, length: float, max_step: float) -> float:
+        """Return the refinement of steps [s] that stability, the multirate ratio and the longest pieces [s] require.
+
+        A lower one does not change the number of steps, thus not their error.
+        """
+        steps = self._count_fewest_steps(n_runs) * steps_for(length, CONSTANTS.max_interval)
+        stable_refinement = self._stability.min_refinement(n_runs, length)
+        return max(self._multirate_refinement, stable_refinement, steps * max_step / length)
 
     def _choose_ratio(self, max_step: float) -> int:
         """Set and return the multirate ratio of this advance; a changed ratio sets an error estimate due."""
@@ -496,7 +501,8 @@ class Controller:
         errors = estimate.errors
         if not self.estimates_error:
             self.estimates_error = True
-            self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
+            required_refinement = self._required_refinement(self.n_runs, piece.length, piece.max_step)
+            self._applied_refinement = max(self.refinement, required_refinement)
         n_estimates, chosen = max(self._count_estimates(tableau.counts), 1 + n_confirming), self.n_runs
         if chosen > 1 and not self._is_rough:
             self._measure_difference(tableau, chosen)
@@ -590,14 +596,14 @@ class Controller:
             # Only the ends of the piece exceed its budget.
             n_runs, refinement, is_smooth = self.n_runs, self.refinement * root(error / target, 3), False
         else:
-            n_runs, refinement = self._choose_runs(piece, max(self.refinement, self._multirate_refinement), target)
+            n_runs, refinement = self._choose_runs(piece, self._applied_refinement, target)
             if self._is_rough:
                 # Errors may be small by chance, so steps do not grow.
                 refinement = max(refinement, self.refinement)
             # A single estimate does not show whether the motion is smooth; else combinations gain on one another.
             is_smooth = len(errors) == 1 or CONSTANTS.estimate_trust_factor * min(errors) < errors[0]
         self._precision.n_misses += 1
-        present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length))
+        present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length, piece.max_step))
         next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
         is_affordable = self._attempts < CONSTANTS.max_failed_attempts and piece.length >= _MIN_PIECE * self._duration
         is_affordable = is_affordable and self._fits(n_runs, next_refinement, piece)
