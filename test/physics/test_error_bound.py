@@ -243,6 +243,27 @@ def test_sheet_that_falls_beside_an_anchor_is_within_tolerance() -> None:
     assert error_of_fall(plan, State(positions, velocities), tolerance, rate, gravity, slice(64)) <= tolerance
 
 
+def test_vibrations_beside_one_in_flight_are_within_tolerance() -> None:
+    # Single precision rounds positions relative to the first particle.
+    tolerance, rate, count, frequency = 3e-6, 10, 64, 10.0
+    rng, amplitude = np.random.default_rng(0), 0.003
+    positions, velocities = np.zeros((2 + count, 3)), np.zeros((2 + count, 3))
+    positions[2:] = amplitude * rng.normal(size=(count, 3))
+    velocities[0, 0], velocities[2:] = 30.0, 0.3 * amplitude * frequency * rng.normal(size=(count, 3))
+    joints = PairSprings([[1, 2 + k] for k in range(count)], 0.0, frequency * frequency)
+    plan, state = compile(Model(np.ones(2 + count), [joints], anchors=[1])), State(positions, velocities)
+    integrator, states = make_integrator("auto", tolerance=tolerance, work=10.0), [state.shallow_copy()]
+    for frame in range(3 * rate):
+        assert not integrator.advance(plan, state, frame / rate, 1.0 / rate).flagged
+        states.append(state.shallow_copy())
+    for first in range(0, 3 * rate, rate):
+        start = states[first]
+        for k, after in enumerate(states[first + 1 : first + rate + 1], start=1):
+            angle = frequency * k / rate
+            exact = np.cos(angle) * start.x[:, 2:] + np.sin(angle) / frequency * start.v[:, 2:]
+            assert np.linalg.norm(after.x[:, 2:] - exact, axis=0).max() <= tolerance
+
+
 @pytest.mark.parametrize(("tolerance", "rest_length"), [(1e-4, 0.1), (1e-5, 0.5)])
 def test_spring_thrown_past_its_anchor_is_within_tolerance(tolerance: float, rest_length: float) -> None:
     from scipy.integrate import solve_ivp

@@ -76,7 +76,7 @@ class PrecisionRule:
             return 0
         memory, noise, plan, speed = self.memory, self.noise, self._plan, largest_component(state.v)
         # Sheets at rest use no single precision, and rounding changes all their springs alike.
-        if speed == 0.0 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(speed)):
+        if speed == 0.0 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)):
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
             return 0
@@ -122,6 +122,7 @@ class PrecisionRule:
             growth = root(self._duration / span, 2)
             memory.common_rounding = max(memory.common_rounding, trust * VELOCITY_ERROR_TIME * mean_change * growth)
             memory.speed = max(memory.speed, largest_component(runs[0].v))
+            memory.reach = max(memory.reach, _reach(state.x))
             noise.power = max(noise.power, trust * supplied / span)
         return 2 * (steps + 1)
 
@@ -156,7 +157,7 @@ class PrecisionRule:
             return False
         speed = largest_component(state.v)
         is_large = speed * self._duration > CONSTANTS.single_precision_min_motion * rounding
-        return is_large and self._is_known_at(speed)
+        return is_large and self._is_known_at(state)
 
     def require_double(self) -> None:
         """Require double precision until the end of the frame."""
@@ -169,9 +170,11 @@ class PrecisionRule:
         """
         return rounding_amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
 
-    def _is_known_at(self, speed: float) -> bool:
-        """Return True if the effect of rounding was measured at about this largest speed [m/s], or above it."""
-        return speed <= CONSTANTS.estimate_trust_factor * self.memory.speed
+    def _is_known_at(self, state: State) -> bool:
+        """Return True if the effect of rounding was measured at about these speeds and distances, or above them."""
+        trust_factor, memory = CONSTANTS.estimate_trust_factor, self.memory
+        is_known = largest_component(state.v) <= trust_factor * memory.speed
+        return is_known and _reach(state.x) <= trust_factor * memory.reach
 
     def _mean(self, dv: Array, axis: int) -> float:
         """Return the mass-weighted mean over free particles of a component of velocity changes [m/s]."""
@@ -179,3 +182,11 @@ class PrecisionRule:
         unit[axis] = model.inverse_masses > 0.0
         mass = weighted_dot(model.masses, unit, unit)
         return weighted_dot(model.masses, dv, unit) / mass if mass else 0.0
+
+
+def _reach(x: Array) -> float:
+    """Return the largest distance of positions (3, n) from the first one along an axis [m].
+
+    Positions are rounded relative to the first one.
+    """
+    return float(np.maximum(x.max(axis=1) - x[:, 0], x[:, 0] - x.min(axis=1)).max())

@@ -180,6 +180,8 @@ class PrecisionState(ControllerState):
     common_rounding: float = bounded_number(0.0, minimum=0.0)
     #: Largest component of velocities at the measurements [m/s].
     speed: float = bounded_number(0.0, minimum=0.0)
+    #: Largest distance of a particle from the first one along an axis at the measurements [m].
+    reach: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
 
 @attrs.define
