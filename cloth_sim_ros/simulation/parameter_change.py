@@ -12,7 +12,9 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 
 #: Change of velocity from one frame to the next [m/s] above which a motion counts as a jump.
@@ -23,7 +25,7 @@ _UNIFORM_PARAMETERS = frozenset(("gravity", "air.drag", "wind.velocity", "materi
 _MAX_DRAG_CHANGE, _MAX_DAMPING_CHANGE = 0.04, 0.01
 
 
-def acceleration_change(names: Collection[str], before: Scene, scene: Scene, v: Array) -> float:
+def acceleration_change(names: Collection[str], before: Scene, scene: Scene, model: Model, state: State) -> float:
     """Return the acceleration [m/s^2] that changed parameters add; infinite if they change more than uniform forces.
 
     A small change of damping adds none, because it excites no vibration.
@@ -32,7 +34,8 @@ def acceleration_change(names: Collection[str], before: Scene, scene: Scene, v: 
         names: names of the changed parameters.
         before: the scene in force.
         scene: the new scene.
-        v: velocities [m/s], shape (3, n).
+        model: gives the masses, and the panels on which the wind acts.
+        state: gives positions and velocities.
     """
     if not _UNIFORM_PARAMETERS.issuperset(names) or scene.step:
         return math.inf
@@ -43,9 +46,13 @@ def acceleration_change(names: Collection[str], before: Scene, scene: Scene, v: 
     damping_change = abs(scene.material.damping - before.material.damping)
     if drag_change * scene.period > _MAX_DRAG_CHANGE or damping_change > _MAX_DAMPING_CHANGE:
         return math.inf
-    # Acceleration of panels per wind speed [1/s]: drag over mass, both by area.
-    panel_drag_rate = (scene.wind.normal_drag + scene.wind.tangential_drag) / scene.material.density
-    speeds = np.abs(v).max(axis=1).tolist() if drag_change else (0.0, 0.0, 0.0)
+    panel_drag_rate = 0.0
+    if scene.wind.velocity != before.wind.velocity:
+        from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+
+        panels = [force for force in model.forces if isinstance(force, AirPanels)]
+        panel_drag_rate = ordered_sum(force.max_drag_rate(state.x, model.inverse_masses) for force in panels)
+    speeds = np.abs(state.v).max(axis=1).tolist() if drag_change else (0.0, 0.0, 0.0)
     components = zip(scene.gravity, before.gravity, scene.wind.velocity, before.wind.velocity, speeds, strict=True)
     largest = 0.0
     for new, old, wind, old_wind, speed in components:

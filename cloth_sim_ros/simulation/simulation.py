@@ -376,7 +376,7 @@ class Simulation(ExclusiveAccess):
         if affects_no_motion:
             return
         self.plan.return_hinges(self.state)
-        change = acceleration_change(values, before, scene, self.state.v)
+        change = acceleration_change(values, before, scene, self.model, self.state)
         if change <= MAX_VELOCITY_CHANGE / scene.period:
             count_force_change(self.state, change, self._tolerance)
         else:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import checked_floats, checked_indices
+from cloth_sim_ros.physics.arithmetic.arrays import lengths
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ElementList, Part
 from cloth_sim_ros.physics.old_names import with_old_names
@@ -64,6 +65,24 @@ class AirPanels(EngineForce):
         panels = copy.copy(self)
         panels.wind = checked_floats("wind", wind, (3,), one_for_all=False)
         return panels
+
+    def max_drag_rate(self, x: Array, inverse_masses: Array) -> float:
+        """Return an upper bound of a particle's drag over its mass [1/s], with c_n + c_t for all directions.
+
+        Args:
+            x: positions [m], shape (3, n).
+            inverse_masses: of the particles [1/kg], shape (n,).
+        """
+        corners = [x[:, particles] for particles in self.panels.T]
+        # The area is half the cross product of two edges of a triangle, of the diagonals of a quadrilateral.
+        a, b = corners[1] - corners[0], corners[2] - corners[0]
+        if len(corners) == 4:
+            a, b = b, corners[3] - corners[1]
+        shares = 0.5 / len(corners) * lengths(np.stack([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]))
+        areas = np.zeros_like(inverse_masses)
+        for particles in self.panels.T:
+            np.add.at(areas, particles, shares)
+        return (self.normal + self.tangential) * float((areas * inverse_masses).max())
 
     @property
     def coefficients(self) -> Array:
