@@ -12,13 +12,14 @@ import pytest
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.controller import Controller
-from cloth_sim_ros.physics.control.error import ErrorRule, coefficient_of
+from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.force_jump import missed_velocity_change
 from cloth_sim_ros.physics.control.frame_totals import FrameTotals
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import coefficient_of
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.state.controller_state import EnergyState, ErrorState, StabilityState

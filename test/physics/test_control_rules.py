@@ -17,20 +17,20 @@ from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State,
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.error import ErrorRule, coefficient_of
+from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, finish_implicitly
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.control.multirate import MAX_RATIO
 from cloth_sim_ros.physics.control.stability import LIMIT_FRACTIONS, MAX_UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.control.work_budget import WorkBudget
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts, weights
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import coefficient_of, step_counts, weights
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model.forces.force import Force
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.state.controller_state import (
-    PARTICLE_CHANGES_KEY,
+    SECOND_DIFFERENCES_KEY,
     ErrorState,
     FallbackState,
     StabilityState,
@@ -372,21 +372,24 @@ def test_activity_beyond_the_estimated_error_is_not_predicted() -> None:
 
 
 def test_change_that_another_particle_hides_is_not_predicted() -> None:
-    # Both runs differ by 1e-3 m at the first particle, as in the last estimate. At the second they did not differ then.
+    # Second differences are 1e-3 m at the first particle, as in the last estimate. At the second they were 0 then.
     (model, state), known = critical(), np.array([[1e-3, 0.0], [0.0, 0.0]])
     stability = StabilityRule(compile(model), StabilityState(), state.x)
-    state.memory[PARTICLE_CHANGES_KEY] = known
+    state.memory[SECOND_DIFFERENCES_KEY] = known
     coefficients = {"coefficient": 1e-9, "lower_order_coefficient": coefficient_of((10,), 0.01)}
     errors = {"n_runs": 2.0, "error": 1e-9, "lower_order_error": 1e-3, **coefficients}
 
-    def predict(hidden: float) -> float:
+    def predict(hidden: float | None) -> float:
         memory = ErrorState(**errors, step=1e-3, activity=1.0, duration=0.01)
-        rule, changes = ErrorRule(memory, 2e-6, 4, state, stability, lambda _: 0.0), np.array([[1e-3, hidden], [0, 0]])
-        return rule.predict((10, 12), 0.01, (1e-3, 0.0), 1.0, 0.0, 0.0, lambda: changes)[0]
+        rule = ErrorRule(memory, 2e-6, 4, state, stability, lambda _: 0.0)
+        differences = None if hidden is None else np.array([[1e-3, hidden], [0, 0]])
+        return rule.predict((10, 12), 0.01, (1e-3, 0.0), 1.0, 0.0, 0.0, lambda: differences)[0]
 
     # A gain of 0.03 leaves more than the target of a micrometre of 4e-5 m, and less of 3e-5 m.
     assert predict(4e-5) == math.inf
     assert predict(3e-5) < math.inf
+    # Without pieces before, nothing is known.
+    assert predict(None) == math.inf
 
 
 def test_single_run_without_damping_is_confirmed_by_further_runs() -> None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -506,6 +507,60 @@ def test_triangle_that_bounces_off_a_ball_is_within_tolerance() -> None:
     frames = unflagged_frames(Scene.from_parameters(parameters, files=files), first + round(rate), {})
     # A perturbation grows by up to 1.06.
     assert error_of_frames(frames[first:], (1000, 1700), 0.1 * tolerance) <= 1.06 * tolerance
+
+
+def frames_above_a_plane(springs: dict[str, Any], parameters: dict[str, Any], friction: float, count: int) -> list[Any]:
+    """Return frames of springs above the plane z = 0 without gravity; no frame may be flagged."""
+    parameters = {**SPRINGS, "gravity": [0.0, 0.0, 0.0], "contact.damping": 0.0, **parameters}
+    files = {"springs.yaml": json.dumps({"masses": 1.0, "rest_lengths": 0.0, "k_d0": 0.0, **springs}).encode()}
+    start = Scene.from_parameters(parameters, files=files).starting_state()
+    top = float(start.x[2, 0]) - springs["positions"][0][2]
+    parameters |= {"obstacles": ["plane"], "plane.shape": "plane", "plane.position": [0.0, 0.0, top]}
+    return unflagged_frames(Scene.from_parameters(parameters | {"plane.friction": [friction]}, files=files), count, {})
+
+
+def test_particle_that_sticks_for_a_moment_is_within_tolerance() -> None:
+    # It touches a plane, slides, sticks and leaves within a frame, so that its anchor exists at no end of a frame.
+    tolerance, rate, swing, amplitude = 3.84152792e-5, 26, 0.6288, 0.53367259
+    springs = {
+        "positions": [[0.0, 0.0, 10.0], [amplitude, 0.0, 10.0], [0.0, 0.0, 2.50097594e-3]],
+        "velocities": [[0.0] * 3, [0.0, amplitude * swing, 0.0], [6.99044548e-4, 0.0, -4.90151843e-3]],
+        "springs": [[0, 1]],
+        "stiffness": swing**2,
+    }
+    parameters = {"rate": float(rate), "tolerance": tolerance, "contact.thickness": 1.45748267e-3}
+    frames = frames_above_a_plane(springs, parameters, 1.27936625, 3 + rate)
+    # Perturbations do not grow.
+    assert error_of_frames(frames, (20000, 12000), 0.01 * tolerance) <= tolerance
+
+
+def test_touch_beside_a_jerk_without_effect_is_within_tolerance() -> None:
+    # A particle swings towards a plane and turns before it. That jerk must not hide a touch. A third particle presses
+    # onto the plane.
+    tolerance, rate, first = 3.967046053505295e-6, 32, 9
+    springs = {
+        "positions": [
+            [0.0, 0.0, 1.135984137378254],
+            [0.9962614212905136, 0.0, 0.5926700766457138],
+            [2.0, 0.0, -0.2245251771416654],
+            [2.0, 0.0, 1.1744361008630e-3],
+            [4.0, 0.0, 1.8458613378449e-3],
+        ],
+        "velocities": [
+            [0.0] * 3,
+            [-1.010848561199547, 0.0, -1.8535677558801236],
+            [0.0] * 3,
+            [0.0] * 3,
+            [1.0566131155654796e-3, 0.0, -9.974505789558216e-4],
+        ],
+        "springs": [[0, 1], [2, 3]],
+        "stiffness": [3.4615475798569997, 1.0],
+    }
+    parameters = {"rate": float(rate), "tolerance": tolerance, "contact.thickness": 1.1800568543026706e-3}
+    parameters["cloth.anchors"] = ["0", "2"]
+    frames = frames_above_a_plane(springs, parameters, 0.6102094265886998, first + rate)
+    # Perturbations grow by up to 1.49.
+    assert error_of_frames(frames[first:], (20000, 12000), 0.01 * tolerance) <= 1.49 * tolerance
 
 
 @pytest.mark.parametrize(("rate", "friction"), [(90.0, 0.01), (92.0, 0.012)])

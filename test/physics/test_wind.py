@@ -191,3 +191,11 @@ def test_a_chain_has_no_surface_for_the_air():
         Scene.from_parameters(
             {**Scene.from_file("config/chain.yaml").parameters(), "wind.normal_drag": 1.0}, folder="config"
         )
+
+
+@pytest.mark.parametrize(("panels", "areas"), [([[0, 1, 2, 3]], 1.5), ([[0, 1, 2], [0, 2, 3]], 2.0)])
+def test_drag_rate_is_that_of_the_lightest_corner(panels: list[list[int]], areas: float) -> None:
+    # A rectangle of 2 m x 3 m. Two corners of its triangles have a third of both, those of the cell have a quarter.
+    corners = np.array([[0.0, 2.0, 2.0, 0.0], [0.0, 0.0, 3.0, 3.0], [0.0, 0.0, 0.0, 0.0]])
+    force, inverse_masses = AirPanels(panels, normal=1.0, tangential=0.5), np.array([10.0, 0.0, 1.0, 1.0])
+    assert force.max_drag_rate(corners, inverse_masses) == pytest.approx(1.5 * areas * 10.0)

@@ -200,7 +200,7 @@ def test_error_estimate_of_an_earlier_version_is_accepted() -> None:
     arrays[name] = arrays[name][:13]
     State.from_bytes(archive(arrays))
     arrays[name] = arrays[name][:12]
-    with pytest.raises(ValueError, match=r"shape \(12,\); it must be float64 and \(16,\)"):
+    with pytest.raises(ValueError, match=r"shape \(12,\); it must be float64 and \(17,\)"):
         State.from_bytes(archive(arrays))
 
 

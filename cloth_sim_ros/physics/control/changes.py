@@ -31,12 +31,27 @@ class ChangeRule:
         may_touch: True if contact is expected within the advance.
     """
 
-    __slots__ = ("_plan", "_work", "is_unexpected", "kink_error", "known", "may_jump", "may_kink", "may_touch")
+    __slots__ = (
+        "_jerk_displacement",
+        "_plan",
+        "_work",
+        "has_new_contact",
+        "is_unexpected",
+        "kink_error",
+        "known",
+        "may_jump",
+        "may_kink",
+        "may_touch",
+    )
 
     def __init__(self, plan: Plan, known: ChangeState, work: WorkBudget, *, may_touch: bool) -> None:
         self._plan, self.known, self._work = plan, known, work
         #: True if contact is expected; and if the last piece touched although it was not.
         self.may_touch, self.is_unexpected = may_touch, False
+        #: True if the last piece has contact that the last error estimate did not contain.
+        self.has_new_contact = False
+        #: Displacement [m] by the jerk of the last piece; 0 below its target error.
+        self._jerk_displacement = 0.0
         #: True if friction may jump within the last piece, or contact begin or end, beyond the piece's target error.
         self.may_jump = self.may_kink = False
         #: Displacement [m] by kinks of stiffening and friction of bending that all runs may miss; 0 below the target.
@@ -54,7 +69,8 @@ class ChangeRule:
             target: target error of the piece [m].
             energy_alone: True if contact energy alone counts.
         """
-        is_changed, present, known = False, ChangeState(), self.known
+        is_changed, present, known, has_new_jerk = False, ChangeState(), self.known, False
+        self._jerk_displacement = 0.0
         self.may_jump = self.may_kink = False
         self.kink_error = 0.0
         if not energy_alone:
@@ -76,7 +92,23 @@ class ChangeRule:
             # It has kinks where it begins or ends, and where the surface changes its curvature.
             is_changed = self.may_kink = True
         is_harder = present.contact_energy > CONSTANTS.estimate_trust_factor * known.contact_energy
+        self.has_new_contact = is_harder or (has_new_jerk and piece.ratio == 1)
         return is_changed or is_harder or self.kink_error > 0.0, present
+
+    def limit_known(self, present: ChangeState, error: float, target: float) -> None:
+        """Reduce the jerk of an accepted piece to what its error estimate contains.
+
+        Jerk without effect must not hide another, e.g. that of a particle that comes near a surface and turns.
+
+        Args:
+            present: changes that the piece contains.
+            error: its error estimate [m].
+            target: its target error [m].
+        """
+        trust_factor = CONSTANTS.estimate_trust_factor
+        known = max(trust_factor * trust_factor * trust_factor * error, target)
+        if self._jerk_displacement > known:
+            present.jerk_change *= known / self._jerk_displacement
 
     def _compare_friction(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float
@@ -95,8 +127,8 @@ class ChangeRule:
         change, velocities = changes
         vibration = largest_distance(velocities, np.zeros_like(velocities))
         is_new = vibration > CONSTANTS.estimate_trust_factor * self.known.vibration
-        self.may_jump = self._displaces(tableau, n_runs, change * (piece.step / 4.0), target)
-        vibrates = is_new and self._displaces(tableau, n_runs, velocities, target)
+        self.may_jump = self._displacement(tableau, n_runs, change * (piece.step / 4.0), target) > target
+        vibrates = is_new and self._displacement(tableau, n_runs, velocities, target) > target
         return self.may_jump or vibrates, vibration
 
     def _compare_jerk(
@@ -120,13 +152,11 @@ class ChangeRule:
         if piece.ratio > 1 and not is_new:
             return False, largest
         # Contact may begin or end within half a step whether it is new or not.
-        displaces = self._displaces(tableau, n_runs, change * (interval * interval / 24.0), target)
+        velocities = change * (interval * interval / 24.0)
+        self._jerk_displacement = self._displacement(tableau, n_runs, velocities, target)
+        displaces = self._jerk_displacement > target
         self.may_kink = displaces and piece.ratio == 1
         return displaces and is_new, largest
-
-    def _displaces(self, tableau: ExtrapolationTableau, n_runs: int, velocities: Array, target: float) -> bool:
-        """Return True if errors of velocities [m/s] displace by more than a target error [m]."""
-        return self._displacement(tableau, n_runs, velocities, target) > target
 
     def _displacement(self, tableau: ExtrapolationTableau, n_runs: int, velocities: Array, target: float) -> float:
         """Return the displacement [m] by errors of velocities [m/s]; 0 if it can't exceed a target error [m].

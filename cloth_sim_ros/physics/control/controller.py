@@ -36,6 +36,7 @@ from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocit
 from cloth_sim_ros.physics.control.frame_totals import ErrorPrediction, FrameTotals, Piece
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
+from cloth_sim_ros.physics.control.run_differences import RunDifferences
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_step, refuse_unbounded
@@ -69,8 +70,8 @@ _ATTRIBUTES = (
     "_allowed _applied_refinement _attempts _before _changes _duration _elapsed _ends _error _estimate "
     "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_turn "
     "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
-    "_stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error "
-    "exhausted in_fallback limit n_runs options refinement rejected work __dict__"
+    "_run_differences _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget "
+    "estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
 )
 
 
@@ -112,6 +113,9 @@ class Controller:
             precision_keys = controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key
             for key in (*controller_state.PARTICLE_KEYS, *precision_keys):
                 state.memory.pop(key, None)
+        if has_tolerance and plan.gripper_count and error.n_runs == 1.0 and not self._stability.is_damped(duration):
+            # Small paths without an estimate excite vibrations, whose errors add up.
+            error.count_force_change(plan.grip_acceleration_change(t, duration), options.tolerance)
         is_due, self._last_refinement = error.time_until_estimate <= 0.0, 0.0
         if is_due and not has_tolerance:
             # Longer steps than the energy rule required are tried periodically.
@@ -150,6 +154,7 @@ class Controller:
         #: True if explicit steps are abandoned.
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
         self._start_bounds, self._start_v = (memory.omega2, memory.damping), state.v
+        self._run_differences = RunDifferences(state)
         self._begin()
 
     @cached_property
@@ -202,6 +207,7 @@ class Controller:
         """Reset everything that pieces change to its value at the start of the frame."""
         #: Totals of the accepted pieces.
         self._frame = FrameTotals()
+        self._run_differences.restart()
         max_step = CONSTANTS.stability_safety * self._stability.memory.max_step
         self.work.rest_rate = self.refinement / max_step * RATIO_SUMS[self.n_runs + 1]
         #: Velocities [m/s] at the start of the interval before, and its length [s].
@@ -465,7 +471,7 @@ class Controller:
             max(summary.activity, summary.change_from_before),
             tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
             grip_jerk_change,
-            partial(tableau.particle_changes, n_runs - 1) if n_runs > 1 else None,
+            partial(self._run_differences.second_differences, tableau, n_runs) if n_runs > 1 else None,
         )
         is_changed, contents = False, None
         if self._plan.contact is not None or self._plan.has_kinks or piece.ratio > 1:
@@ -496,6 +502,9 @@ class Controller:
         n_confirming = 0
         if self.n_runs == 1 and not (self._is_rough or self.in_fallback):
             n_confirming = self._stability.count_confirming_runs(piece.steps, piece.length)
+            if self._changes.has_new_contact:
+                # It may begin and end within the piece, so that no later estimate contains it.
+                n_confirming = max(1, n_confirming)
         estimate = ErrorEstimate(self._is_rough, jumps=self._changes.may_jump, may_coincide=n_confirming > 0)
         self._estimate = estimate
         errors = estimate.errors
@@ -762,12 +771,14 @@ class Controller:
         memory.omega2, memory.damping = summary.omega2, summary.damping
         if piece.ratio > 1:
             self._multirate.bounds = summary.hinge_bounds
+        if self.estimates_error and (contents := self._prediction.contents) is not None:
+            self._changes.limit_known(contents, self._estimate.errors[n_runs - 1], self._error.target(length))
         frame.add(tableau, piece, n_runs, self._prediction, error)
         frame.has_missed = frame.has_missed or error > self._allowed
         frame.refined_time += length if self.refinement > 1.0 else 0.0
+        differences = self._run_differences.accept(tableau, n_runs)
         if self.estimates_error:
-            changes = None if n_runs == 1 or self._is_rough else tableau.particle_changes(n_runs - 1)
-            frame.add_estimate(tableau, self._prediction, self._estimate.errors, self.refinement, changes)
+            frame.add_estimate(tableau, self._prediction, self._estimate.errors, self.refinement, differences)
         self._before = state.v, length
         tableau.commit(n_runs, state)
         if self._has_tolerance:
@@ -815,6 +826,7 @@ class Controller:
             state.memory[controller_state.PREVIOUS_VELOCITIES_KEY] = self._start_v
         self._stability.memory.store(state)
         error.store(state)
+        self._run_differences.store(state, is_known=error.memory.n_runs == self.n_runs and not self._is_rough)
         if self.estimates_error or not self._has_tolerance:
             self._energy.memory.store(state)
             self._precision.store(state)

@@ -25,11 +25,11 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
     RATIOS,
     VELOCITY_ERROR_TIME,
-    error_coefficient,
+    coefficient_of,
     rounding_amplification,
 )
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.state.controller_state import PARTICLE_CHANGES_KEY, ErrorState
+from cloth_sim_ros.physics.state.controller_state import SECOND_DIFFERENCES_KEY, ErrorState
 from cloth_sim_ros.physics.state.state import State
 
 _EPSILON = sys.float_info.epsilon
@@ -65,9 +65,8 @@ class ErrorRule:
         self.memory, self.budget, self._max_runs, self._stability = memory, budget, max_runs, stability
         self._measure_displacement = measure_displacement
         self._x, self._v = state.x, state.v
-        #: Changes of each particle's position [m] and velocity [m/s] by the last run in the last frame with an
-        #: estimate, (2, n); None if unknown.
-        self._known_changes = state.memory.get(PARTICLE_CHANGES_KEY)
+        #: Second differences of `RunDifferences` [m, m/s] in the last frame with an estimate, (2, n); None if unknown.
+        self._known_differences = state.memory.get(SECOND_DIFFERENCES_KEY)
 
     @cached_property
     def _position_rounding(self) -> float:
@@ -115,7 +114,7 @@ class ErrorRule:
         activity: float,
         jerk_change: float = 0.0,
         grip_jerk_change: float = 0.0,
-        particle_changes: Callable[[], Array] | None = None,
+        second_differences: Callable[[], Array | None] | None = None,
     ) -> tuple[float, float]:
         """Return the predicted errors of a piece [m] by its runs, and by one run less; infinite if the motion changed.
 
@@ -126,7 +125,7 @@ class ErrorRule:
             activity: activity of the piece [m/s].
             jerk_change: change of jerk of a single run whose springs turn [m/s].
             grip_jerk_change: change of jerk by grippers' paths [m/s].
-            particle_changes: gives changes of positions [m] and velocities [m/s] by the last run, (2, n); or None.
+            second_differences: see `_has_hidden_change`; None for a single run.
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
@@ -158,47 +157,47 @@ class ErrorRule:
         if not known_error:
             return math.inf, math.inf
         expected_fraction = fraction * coefficient_of(counts[:-1], length) / memory.lower_order_coefficient
-        if particle_changes and self._has_hidden_change(lower_order_error, particle_changes, expected_fraction, length):
-            return math.inf, math.inf
+        if second_differences is not None:
+            known_fraction = fraction * coefficient_of(counts[:-1], length) / memory.lower_order_coefficient
+            if self._has_hidden_change(lower_order_error, second_differences, known_fraction, length):
+                return math.inf, math.inf
         # The larger the change by the last run, the smaller the gain of the next one; at a force jump it is 0.
         growth = max(1.0, lower_order_error / (memory.lower_order_error * expected_fraction))
-        if self._known_changes is not None and (known_velocity_change := largest_component(self._known_changes[1])):
+        if memory.velocity_change:
             # Fast waves of the last estimate displace little by their velocities, other ones may displace much.
-            growth = max(growth, change[1] / (known_velocity_change * expected_fraction))
+            growth = max(growth, change[1] / (memory.velocity_change * expected_fraction))
         scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
         return scale * memory.error * fraction, lower_order_error
 
     def _has_hidden_change(
         self,
         largest_change: float,
-        particle_changes: Callable[[], Array],
+        second_differences: Callable[[], Array | None],
         expected_fraction: float,
         length: float,
     ) -> bool:
-        """Return True if a particle changes by the last run as it did not in the last estimate, which matters.
+        """Return True if a particle's runs begin to differ as they did not in the last estimate, which matters.
 
-        A slow particle may change much by the last run and little by the next one. It hides another particle, by which
-        the next run may gain little.
+        Runs of a slow particle differ much, and the next run changes little. It hides what another one begins, or
+        itself. Its differences change little from piece to piece.
 
         Args:
-            largest_change: largest change of a particle [m].
-            particle_changes: gives changes of positions [m] and velocities [m/s] by the last run, (2, n).
-            expected_fraction: ratio of expected changes to those of the frame with the last estimate.
+            largest_change: largest change of a particle by the last run [m].
+            second_differences: gives those of `RunDifferences`, (2, n), or None if they are unknown.
+            expected_fraction: ratio of expected differences to those of the frame with the last estimate.
             length: of the piece [s].
         """
         target = self.target(length) / CONSTANTS.hidden_gain
         if largest_change <= target:
             return False
-        changes, known = particle_changes(), self._known_changes
+        differences, known = second_differences(), self._known_differences
+        if differences is None:
+            return True
         if known is not None:
-            changes = changes - (CONSTANTS.estimate_trust_factor * expected_fraction) * known
-        return not float(np.maximum.reduce(self._weighted(changes))) <= target
-
-    def _weighted(self, particle_changes: Array) -> Array:
-        """Return the displacements [m] by changes of positions [m] and velocities [m/s], (2, n), of particles, (n,)."""
-        position_changes, velocity_changes = particle_changes
-        displacements: Array = position_changes + self.memory.velocity_weight * velocity_changes
-        return displacements
+            differences = differences - (CONSTANTS.estimate_trust_factor * expected_fraction) * known
+        of_positions, of_velocities = differences
+        displacements = of_positions + self.memory.velocity_weight * of_velocities
+        return not float(np.maximum.reduce(displacements)) <= target
 
     def _is_other_path(self, grip_jerk_change: float, steps: int, length: float) -> bool:
         """Return True if grippers move so that the last estimate does not tell the error of combined runs.
@@ -338,7 +337,7 @@ class ErrorRule:
         known_error = CONSTANTS.estimate_trust_factor * errors[max(next_runs - 2, 0)]
         known_jerk_change = known_error / (displacement_by_jerk(1.0, counts[0]) * length * memory.duration)
         memory.grip_jerk_change = min(memory.grip_jerk_change, known_jerk_change)
-        self._known_changes = None
+        self._known_differences, memory.velocity_change = None, 0.0
         memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs, counts[0], target))
         memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:
@@ -346,8 +345,8 @@ class ErrorRule:
             position_change, velocity_change = frame.changes[next_runs - 2]
             displaced = max(0.0, errors[next_runs - 2] - position_change)
             memory.velocity_weight = displaced / velocity_change if velocity_change else 0.0
-            if frame.particle_changes is not None and next_runs == n_runs:
-                self._known_changes = frame.particle_changes
+            if next_runs == n_runs:
+                self._known_differences, memory.velocity_change = frame.second_differences, velocity_change
             memory.lower_order_error = max(errors[next_runs - 2], floor)
             memory.lower_order_coefficient = coefficient_of(counts[: next_runs - 1], length)
         is_confirmed = is_predicted and prediction_ratio <= CONSTANTS.estimate_trust_factor
@@ -376,15 +375,15 @@ class ErrorRule:
     def restart(self, n_runs: int, refinement: float) -> None:
         """Forget the last estimate, so that the next frame estimates its error; keep runs and refinement."""
         self.memory = ErrorState(n_runs=float(n_runs), refinement=refinement, duration=self.memory.duration)
-        self._known_changes = None
+        self._known_differences = None
 
     def store(self, state: State) -> None:
         """Store the rule's numbers in a state's memory."""
         self.memory.store(state)
-        if self._known_changes is None:
-            state.memory.pop(PARTICLE_CHANGES_KEY, None)
+        if self._known_differences is None:
+            state.memory.pop(SECOND_DIFFERENCES_KEY, None)
         else:
-            state.memory[PARTICLE_CHANGES_KEY] = self._known_changes
+            state.memory[SECOND_DIFFERENCES_KEY] = self._known_differences
 
     def count_down(self) -> None:
         """Reduce the time until the next estimate by a frame, down to 0."""
@@ -415,8 +414,3 @@ def displacement_by_activity(activity: float, steps: int, length: float) -> floa
         length: of the run [s].
     """
     return activity * length / (6.0 * steps * steps)
-
-
-def coefficient_of(counts: tuple[int, ...], length: float) -> float:
-    """Return the error coefficient of K combined runs of a length [s]: `error_coefficient` times length^(K + 1)."""
-    return error_coefficient(counts) * power(length, len(counts) + 1)

@@ -72,9 +72,8 @@ class FrameTotals:
     errors: Sequence[float] = ()
     #: Changes of positions [m] and of velocities [m/s] from T_1 to T_2, from T_2 to T_3, ...
     changes: Sequence[tuple[float, float]] = ()
-    #: Changes of each particle's position [m] and velocity [m/s] by the last of the chosen runs, (2, n); None if a
-    #: single run was chosen.
-    particle_changes: Array | None = None
+    #: Sums of the second differences of `RunDifferences` [m, m/s], (2, n); None if they are unknown.
+    second_differences: Array | None = None
 
     def add(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, prediction: ErrorPrediction, error: float
@@ -97,7 +96,7 @@ class FrameTotals:
         prediction: ErrorPrediction,
         errors: Sequence[float],
         refinement: float,
-        particle_changes: Array | None,
+        second_differences: Array | None,
     ) -> None:
         """Add an accepted piece's error estimates [m] of 1, 2, ... combined runs, and its refinement.
 
@@ -106,7 +105,7 @@ class FrameTotals:
             prediction: its predicted errors.
             errors: estimates of 1, 2, ... combined runs [m].
             refinement: refinement of its steps.
-            particle_changes: changes by the last of the chosen runs, see `particle_changes`; None if not needed.
+            second_differences: see `RunDifferences`; None if they are unknown.
         """
         runs, changes = (tableau.counts, tableau.duration), [tableau.change(k) for k in range(1, len(errors) + 1)]
         if self.has_estimates:
@@ -115,10 +114,10 @@ class FrameTotals:
             runs = min(self.runs, runs, key=lambda piece: piece[1] / piece[0][0])
             errors = [ordered_sum(pair) for pair in zip(self.errors, errors, strict=False)]
             changes = [(x + dx, v + dv) for (x, v), (dx, dv) in zip(self.changes, changes, strict=False)]
-            if particle_changes is not None and self.particle_changes is not None:
-                particle_changes = self.particle_changes + particle_changes
+            if second_differences is not None and self.second_differences is not None:
+                second_differences = self.second_differences + second_differences
         self.has_estimates, self.runs, self.errors, self.changes = True, runs, errors, changes
-        self.refinement, self.particle_changes = refinement, particle_changes
+        self.refinement, self.second_differences = refinement, second_differences
         self.predicted_error += prediction.error
         self.activity = max(self.activity, prediction.activity)
         self.jerk_change = max(self.jerk_change, tableau.jerk_change)

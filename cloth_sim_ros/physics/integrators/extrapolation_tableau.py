@@ -17,8 +17,8 @@ import numpy as np
 
 from cloth_sim_ros.physics.accounting.end_corrections import accumulate_runs
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance, lengths
-from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, power
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of
@@ -81,6 +81,11 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
     """
     terms = [weight / n ** (len(counts) + 1) for weight, n in zip(weights(counts), counts, strict=True)]
     return abs(ordered_sum(terms))
+
+
+def coefficient_of(counts: tuple[int, ...], length: float) -> float:
+    """Return the error coefficient of K combined runs of a length [s]: `error_coefficient` times length^(K + 1)."""
+    return error_coefficient(counts) * power(length, len(counts) + 1)
 
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
@@ -263,11 +268,6 @@ class ExtrapolationTableau:
             (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
             self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
         return self._changes[n_runs]
-
-    def particle_changes(self, n_runs: int) -> Array:
-        """Return each particle's changes of position [m] and velocity [m/s] if one run more is combined, (2, n)."""
-        (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
-        return np.stack((lengths(x - y), lengths(v - w)))
 
     def difference(self, n_runs: int) -> float:
         """Return the error estimate of n_runs combined runs [m]: the distance from the combination of one run more.

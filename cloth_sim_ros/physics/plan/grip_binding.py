@@ -52,6 +52,29 @@ def _jerk_change(omega2: float, damping: float, acceleration: float, duration: f
     return acceleration * (omega2 * duration + 3.0 * damping)
 
 
+def _accelerations(path: list[float], t: float, duration: float, reach: float) -> tuple[float, float, float]:
+    """Return upper bounds of a point's acceleration at the ends of an interval, and of its change between them [m/s^2].
+
+    Args:
+        path: of the gripper, PATH_NUMBERS.
+        t: start of the interval [s].
+        duration: its length [s].
+        reach: distance of the point from the gripper's origin [m].
+    """
+    start, at_start, at_end, change = t - path[0], 0.0, 0.0, 0.0
+    for first, scale in ((7, 2.0), (20, 2.0 * reach)):
+        second, third = path[first : first + 3], [3.0 * a for a in path[first + 3 : first + 6]]
+        at_start += scale * _length([a + start * b for a, b in zip(second, third, strict=True)])
+        at_end += scale * _length([a + (start + duration) * b for a, b in zip(second, third, strict=True)])
+        change += scale * _length([duration * b for b in third])
+    return at_start, at_end, change
+
+
+def _length(vector: list[float]) -> float:
+    x, y, z = vector
+    return math.sqrt(x * x + y * y + z * z)
+
+
 class GripBinding(Uncopyable):
     """Engine binding of a plan's grips: uploads grasped particles and paths, evaluates wrenches.
 
@@ -151,15 +174,7 @@ class GripBinding(Uncopyable):
         changes, paths = [0.0], self.force.controls.paths
         grips, are_shared = self._strongest_grips(inverse_masses)
         for gripper, stiffness, damping, reach, min_stiffness, is_prescribed in grips:
-            path = paths[gripper].tolist()
-            start, acceleration = t - path[0], 0.0
-            for time in (start, start + duration):
-                largest = 0.0
-                for first, scale in ((7, 2.0), (20, 2.0 * reach)):
-                    a, b, c, d, e, f = path[first : first + 6]
-                    x, y, z = a + 3.0 * time * d, b + 3.0 * time * e, c + 3.0 * time * f
-                    largest += scale * math.sqrt(x * x + y * y + z * z)
-                acceleration = max(acceleration, largest)
+            acceleration = max(_accelerations(paths[gripper].tolist(), t, duration, reach)[:2])
             fraction = min(1.0, 2.0 / math.sqrt(min_stiffness * error_time * error_time + 1.0))
             change = fraction * _jerk_change(stiffness, damping, acceleration, duration)
             if is_prescribed:
@@ -167,6 +182,20 @@ class GripBinding(Uncopyable):
                 change = max(change, fraction * _jerk_change(*rates, acceleration, duration))
             changes.append(change)
         return 0.125 * duration * duration * (ordered_sum(changes) if are_shared else max(changes))
+
+    def acceleration_change(self, t: float, duration: float, inverse_masses: Array) -> float:
+        """Return the sum of the changes of a grasped point's acceleration over an interval, from and to 0 [m/s^2].
+
+        It is an upper bound for the points of all grippers. If several grippers grasp one particle, theirs add up.
+
+        Args:
+            t: start of the interval [s].
+            duration: its length [s].
+            inverse_masses: of the particles [1/kg], shape (n,).
+        """
+        paths, (grips, are_shared) = self.force.controls.paths, self._strongest_grips(inverse_masses)
+        changes = [ordered_sum(_accelerations(paths[grip.gripper].tolist(), t, duration, grip.reach)) for grip in grips]
+        return ordered_sum(changes) if are_shared else max(changes, default=0.0)
 
     def _strongest_grips(self, inverse_masses: Array) -> tuple[list[_StrongestGrip], bool]:
         """Return the strongest grip of each gripper that grasps a free particle, and true if two grasp the same one.

@@ -224,6 +224,12 @@ class PlanQueries:
             return 0.0
         return self._grip_binding.jerk_change(t, duration, self.model.inverse_masses, rates, error_time)
 
+    def grip_acceleration_change(self, t: float, duration: float) -> float:
+        """Return what a gripper's path changes its particles' acceleration by [m/s^2], see `GripBinding`."""
+        if self._grip_binding is None:
+            return 0.0
+        return self._grip_binding.acceleration_change(t, duration, self.model.inverse_masses)
+
     def hinge_jerk(self, x: Array, v: Array) -> Array:
         """Return the jerk by hinges at constant velocities [m/s^3], shape (3, n)."""
         out = np.empty(self._shape)

@@ -146,6 +146,24 @@ class ErrorState(ControllerState):
     grip_jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
     #: Sum of accelerations by small changes of uniform forces since the last estimate [m/s^2].
     force_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
+    #: Largest change of a particle's velocity by the last run in the last frame with an estimate [m/s]; 0 if unknown.
+    velocity_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
+
+    def count_force_change(self, acceleration: float, tolerance: float | None) -> None:
+        """Count a small change of forces; the next advance estimates its error if the changes may matter.
+
+        They always matter to combined runs. A force per mass that changes by a excites vibrations of the amplitude
+        a/w^2. The phase of a single run errs by w^3 h^2/24 a second. So it errs by a h/12 a second at most, because
+        w h <= 2.
+
+        Args:
+            acceleration: change of acceleration [m/s^2].
+            tolerance: error tolerance [m]; None for none.
+        """
+        self.force_change += acceleration
+        target = CONSTANTS.error_target_fraction * CONSTANTS.error_budget_fraction * (tolerance or math.inf)
+        if self.n_runs > 1.0 or self.force_change * self.step > 12.0 * target:
+            self.time_until_estimate = 0.0
 
 
 @attrs.define
@@ -298,11 +316,13 @@ SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP
 )
 #: Key of the velocities [m/s] at the start of the last frame, shape (3, particle_count).
 PREVIOUS_VELOCITIES_KEY = "control.velocities"
-#: Key of the changes of each particle's position [m] and velocity [m/s] by the last run in the last frame with an
-#: estimate, shape (2, particle_count).
-PARTICLE_CHANGES_KEY = "control.particle_changes"
+#: Key of the differences of positions [m] and velocities [m/s] between the combination of the chosen runs and that of
+#: one run less, over the coefficient of their error, in the last one or two pieces, (pieces, 2, 3, particle_count).
+RUN_DIFFERENCES_KEY = "control.run_differences"
+#: Key of the lengths of their second differences in the last frame with an estimate, shape (2, particle_count).
+SECOND_DIFFERENCES_KEY = "control.second_differences"
 #: Keys of step control with numbers for each particle.
-PARTICLE_KEYS = PREVIOUS_VELOCITIES_KEY, PARTICLE_CHANGES_KEY
+PARTICLE_KEYS = PREVIOUS_VELOCITIES_KEY, RUN_DIFFERENCES_KEY, SECOND_DIFFERENCES_KEY
 #: Controller states that belong to step control.
 STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
@@ -324,6 +344,7 @@ LEGACY_KEYS = (
     "control.error",
     "control.precision",
     "control.earlier_velocities",
+    "control.particle_changes",
 )
 
 
@@ -341,21 +362,9 @@ def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
 
 
 def count_force_change(state: HasMemory, acceleration: float, tolerance: float | None) -> None:
-    """Count a small change of uniform forces; the next advance estimates its error if the changes may matter.
-
-    They always matter to combined runs. A force per mass that changes by a excites vibrations of the amplitude a/w^2.
-    The phase of a single run errs by w^3 h^2/24 a second. So it errs by a h/12 a second at most, because w h <= 2.
-
-    Args:
-        state: its controller state of errors becomes up to date.
-        acceleration: change of acceleration [m/s^2].
-        tolerance: error tolerance [m]; None for none.
-    """
+    """Count a small change of uniform forces in a state, see `ErrorState.count_force_change`."""
     error = ErrorState.load(state)
-    error.force_change += acceleration
-    target = CONSTANTS.error_target_fraction * CONSTANTS.error_budget_fraction * (tolerance or math.inf)
-    if error.n_runs > 1.0 or error.force_change * error.step > 12.0 * target:
-        error.time_until_estimate = 0.0
+    error.count_force_change(acceleration, tolerance)
     error.store(state)
 
 

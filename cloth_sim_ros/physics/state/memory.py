@@ -70,13 +70,13 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
     for name in (*controller_state.SLEEP_KEYS, controller_state.PREVIOUS_VELOCITIES_KEY):
         if name in memory:
             _check_array(name, memory[name], _FLOAT, (3, particle_count))
-    if controller_state.PARTICLE_CHANGES_KEY in memory:
-        _check_array(
-            controller_state.PARTICLE_CHANGES_KEY,
-            memory[controller_state.PARTICLE_CHANGES_KEY],
-            _FLOAT,
-            (2, particle_count),
-        )
+    if controller_state.SECOND_DIFFERENCES_KEY in memory:
+        second_differences = memory[controller_state.SECOND_DIFFERENCES_KEY]
+        _check_array(controller_state.SECOND_DIFFERENCES_KEY, second_differences, _FLOAT, (2, particle_count))
+    if controller_state.RUN_DIFFERENCES_KEY in memory:
+        differences = memory[controller_state.RUN_DIFFERENCES_KEY]
+        n_pieces = 2 if differences.ndim and len(differences) == 2 else 1
+        _check_array(controller_state.RUN_DIFFERENCES_KEY, differences, _FLOAT, (n_pieces, 2, 3, particle_count))
     if controller_state.SLEEP_VELOCITIES_KEY in memory and SleepState.key not in memory:
         raise ValueError(f"memory '{SleepState.key}' is missing; a state that sleeps has it")
     if ANCHORS_KEY in memory:
