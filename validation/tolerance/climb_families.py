@@ -41,5 +41,8 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
     "free_fall": (climb_hidden.free_fall, 6),
     "crossing": (climb_hidden.crossing, 9),
     "passing": (climb_hidden.passing, 9),
+    "orbit": (climb_hidden.orbit, 10),
+    "stairs": (climb_hidden.stairs, 9),
+    "touching": (climb_kinks.touching, 11),
     "dipping": (climb_hidden.dipping, 10),
 }

@@ -1,8 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Families of two motions without coupling, which the search for violations climbs over.
+"""Families of two motions of which one hides the other, which the search for violations climbs over.
 
-Error estimates take the largest value over all particles. Therefore one particle's motion can hide another one's.
+Error estimates take the largest value over all particles. Therefore one particle's motion can hide another one's, and a
+large slow motion a small fast one.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros import Scene, State
+from cloth_sim_ros import Grasp, Scene, State, Target
 from validation.tolerance.climb_kinks import frame_count, rate_and_tolerance, spring_scene
 from validation.tolerance.climb_scenes import Trial, evaluate_frames, evaluate_trial
 from validation.tolerance.random_scenes import RandomScene, log_uniform
@@ -87,6 +88,81 @@ def passing(rng: np.random.Generator) -> Trial:
     values = {"rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, 0.0]}
     words = f"circles at {radius:.3g} m, {circling:.3g}/s, passes at {miss:.2g} m after {time:.3g} s, {speed:.3g} m/s"
     return _evaluate(tables, values, words)
+
+
+def orbit(rng: np.random.Generator) -> Trial:
+    """Evaluate a particle on a wide orbit about the anchor of a joint, which passes the anchor of a weak spring.
+
+    Lengths are proportional to the tolerance, because the motion scales with them.
+    """
+    rate, tolerance = rate_and_tolerance(rng)
+    radius, circling = tolerance * log_uniform(rng, 1e8, 1e12), log_uniform(rng, 0.1, 5.0)
+    time, ratio = float(rng.uniform(0.25, 1.2)), float(rng.uniform(0.3, 1.0))
+    # Distance of the spring's anchor: the particle passes it in about as much time as a frame takes.
+    angle, distance = circling * time, radius * circling / rate * log_uniform(rng, 0.1, 3.0)
+    passed = np.array([math.cos(angle), ratio * math.sin(angle)]) * radius
+    normal = np.array([ratio * math.cos(angle), math.sin(angle)])
+    anchor = passed + distance / float(np.hypot(*normal)) * normal * (1.0 if rng.random() < 0.5 else -1.0)
+    force = radius * circling * circling * (distance / radius) * log_uniform(rng, 0.01, 30.0)
+    tables = {
+        "positions": [[0.0] * 3, [*anchor.tolist(), 0.0], [radius, 0.0, 0.0]],
+        "velocities": [[0.0] * 3, [0.0] * 3, [0.0, radius * circling * ratio, 0.0]],
+        "masses": 1.0,
+        "springs": [[0, 2], [1, 2]],
+        "rest_lengths": [0.0, radius * log_uniform(rng, 1.0, 30.0)],
+        "stiffness": [circling * circling, force],
+        "k_d0": 0.0,
+    }
+    values = {"rate": rate, "tolerance": tolerance, "gravity": [0.0, 0.0, 0.0], "cloth.anchors": ["0", "1"]}
+    return _evaluate(tables, values, f"orbit of {radius:.3g} m, {circling:.3g}/s, passes at {distance:.3g} m")
+
+
+def stairs(rng: np.random.Generator) -> Trial:
+    """Evaluate a particle in a gripper that moves a little in some frames, while another one swings.
+
+    A third particle at rest requires short steps. Without it the vibration would be in combined runs.
+    """
+    rate, tolerance = rate_and_tolerance(rng)
+    steps, stride = int(rng.integers(15, 60)), int(rng.integers(1, 4))
+    # After a whole number of periods a frame the activity does not show the vibration.
+    periods = int(rng.integers(1, 4)) * float(rng.uniform(0.99, 1.01))
+    swing, grip = log_uniform(rng, 0.2, 2.0), 2.0 * math.pi * rate * periods
+    stiff, phase = 1.84 * steps * rate, float(rng.uniform(0.0, math.pi))
+    # The swing takes up to half of the budget by its phase error w^3 h^2/24 a second.
+    amplitude = tolerance * float(rng.uniform(0.02, 0.4)) * 24.0 * (steps * rate) ** 2 / swing**3
+    height = tolerance * log_uniform(rng, 0.3, 6.0) * steps * steps / (6.0 * grip)
+    frames, first = frame_count(rate), int(0.5 * rate)
+    tables = {
+        "positions": [[0, 0, 0], [amplitude * math.cos(phase), 0, 0], [0, 20, 0], [0, 20, 0], [0, 40, 0], [0, 40, 0]],
+        "velocities": [[0] * 3, [-amplitude * swing * math.sin(phase), 0, 0], *([[0] * 3] * 4)],
+        "masses": 1.0,
+        "springs": [[0, 1], [4, 5]],
+        "rest_lengths": 0.0,
+        "stiffness": [swing * swing, stiff * stiff],
+        "k_d0": 0.0,
+    }
+    values = {
+        "rate": rate,
+        "tolerance": tolerance,
+        "gravity": [0.0, 0.0, 0.0],
+        "cloth.anchors": ["0", "3", "4"],
+        "grippers": ["hand"],
+        "gripper.radius": 0.02,
+        "gripper.stiffness": grip * grip,
+        "gripper.damping": 0.0,
+        "gripper.max_speed": 0.0,
+    }
+    scene = spring_scene(tables, values)
+    home = scene.starting_state().positions[2] - [0.01, 0.0, 0.0]
+    events: dict[int, list[Any]] = {0: [Target("hand", home.tolist()), Grasp("hand", True)]}
+    for count, frame in enumerate(range(first, frames, stride), start=1):
+        events.setdefault(frame, []).append(Target("hand", [home[0], home[1], home[2] + count * height]))
+    words = f"grip {grip:.3g}/s moves by {height:.2g} m in each {stride}. frame, swing {swing:.2g}/s, {steps} steps"
+    state = scene.starting_state()
+    draw = RandomScene(scene=scene, state=state, frames=first + round(rate), words=words, events=events, first=first)
+    size = max(_MIN_PERTURBATION, _PERTURBATION_FRACTION * tolerance)
+    trial = evaluate_frames(draw, (600, 800, 1000), (300, 400, 500), size)
+    return attrs.evolve(trial, parameters={**trial.parameters, **tables, "height": height, "stride": stride})
 
 
 def dipping(rng: np.random.Generator) -> Trial:

@@ -12,6 +12,7 @@ import json
 import math
 from typing import Any
 
+import attrs
 import numpy as np
 from support.error_bound import SPRINGS
 
@@ -23,6 +24,8 @@ from validation.tolerance.random_scenes import RandomScene, log_uniform
 _FINE, _ROUGH = 1e-13, 1e-12
 #: Size of perturbations relative to the tolerance, and their smallest size [m, m/s].
 _PERTURBATION_FRACTION, _MIN_PERTURBATION = 0.1, 1e-8
+#: Step counts of single runs as a reference where friction jumps, and of the run that checks it.
+_JUMP_STEPS, _FEW_JUMP_STEPS = (2500,), (1500,)
 #: Tables of springs without a spring.
 _NO_SPRINGS = {"masses": 1.0, "springs": [], "rest_lengths": 1.0, "stiffness": 1.0}
 
@@ -144,6 +147,37 @@ def landing(rng: np.random.Generator) -> Trial:
     return _evaluate_contact(rng, scene, "lands", tables)
 
 
+def touching(rng: np.random.Generator) -> Trial:
+    """Evaluate a particle that touches a plane with friction for a moment, while another one swings."""
+    rate, tolerance = rate_and_tolerance(rng)
+    thickness, friction = log_uniform(rng, 5e-4, 2e-2), log_uniform(rng, 0.1, 4.0)
+    speed, frame = tolerance * log_uniform(rng, 30.0, 2000.0), 2 + int(rng.integers(0, 4))
+    slip, time = speed * log_uniform(rng, 0.1, 3.0), (frame + float(rng.uniform(0.0, 1.0))) / rate
+    swing, amplitude = log_uniform(rng, 0.5, 6.0), tolerance * log_uniform(rng, 1e3, 1e6)
+    tables = {
+        "positions": [[0.0, 0.0, 10.0], [amplitude, 0.0, 10.0], [0.0, 0.0, thickness + speed * time]],
+        "velocities": [[0.0] * 3, [0.0, amplitude * swing, 0.0], [slip, 0.0, -speed]],
+        "masses": 1.0,
+        "springs": [[0, 1]],
+        "rest_lengths": 0.0,
+        "stiffness": swing * swing,
+        "k_d0": 0.0,
+    }
+    values = {
+        "rate": rate,
+        "tolerance": tolerance,
+        "gravity": [0.0, 0.0, 0.0],
+        "contact.thickness": thickness,
+        "thing.shape": "plane",
+    }
+    scene = spring_scene(tables, values, (0.0, 0.0, 0.0), friction=friction)
+    words = f"friction {friction:.2g}, {speed:.2g} m/s, slips at {slip:.2g} m/s, {rate:g} Hz"
+    draw = RandomScene(scene=scene, state=scene.starting_state(), frames=round(rate), words=words)
+    size = max(_MIN_PERTURBATION, _PERTURBATION_FRACTION * tolerance)
+    trial = evaluate_frames(draw, _JUMP_STEPS, _FEW_JUMP_STEPS, size)
+    return attrs.evolve(trial, parameters={**trial.parameters, **tables})
+
+
 def jaws(rng: np.random.Generator) -> Trial:
     """Evaluate a particle on a spring between the jaws of a parallel gripper that close."""
     rate, tolerance = rate_and_tolerance(rng)
@@ -232,6 +266,7 @@ def spring_scene(
     values: dict[str, Any],
     obstacle_position: tuple[float, float, float] | None = None,
     files: dict[str, bytes] | None = None,
+    friction: float = 0.0,
 ) -> Scene:
     """Return a scene of raw springs; an obstacle "thing" has a position [m] in the frame of the springs' file."""
     files = {"springs.yaml": json.dumps(tables).encode(), **(files or {})}
@@ -243,7 +278,7 @@ def spring_scene(
     obstacle = {
         "obstacles": ["thing"],
         "thing.position": (offset + obstacle_position).tolist(),
-        "thing.friction": [0.0],
+        "thing.friction": [friction],
     }
     return Scene.from_parameters({**values, **obstacle, "contact.damping": 0.0}, files=files)
 
