@@ -388,7 +388,9 @@ def test_change_that_another_particle_hides_is_not_predicted() -> None:
     # A gain of 0.03 leaves more than the target of a micrometre of 4e-5 m, and less of 3e-5 m.
     assert predict(4e-5) == math.inf
     assert predict(3e-5) < math.inf
-    # Without pieces before, nothing is known.
+    # Without pieces before, the largest change is compared.
+    assert predict(None) < math.inf
+    errors["lower_order_error"] = 4e-4
     assert predict(None) == math.inf
 
 

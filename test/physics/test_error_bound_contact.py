@@ -563,6 +563,56 @@ def test_touch_beside_a_jerk_without_effect_is_within_tolerance() -> None:
     assert error_of_frames(frames[first:], (20000, 12000), 0.01 * tolerance) <= 1.49 * tolerance
 
 
+@pytest.mark.parametrize(
+    ("rate", "tolerance", "thickness", "friction", "heights", "speeds", "slip", "growth"),
+    [
+        # The first touch has shorter steps, so that its jerk errs by less.
+        (
+            9,
+            4.5509576e-4,
+            1.186614179413043e-3,
+            2.1390736870114195,
+            (0.0191078150698627, 6.089639343470621e-3),
+            (0.0396585629505443, 7.885768853191245e-3),
+            7.120813064858369e-3,
+            1.3,
+        ),
+        # The combination of two runs that replaces a single run has an estimate that is small by chance.
+        (
+            19,
+            4.49e-6,
+            3.4494940168465813e-4,
+            5.335347704050395,
+            (3.706632025470835e-4, 4.196735151582587e-4),
+            (1.0587865355920718e-4, 2.558479141404361e-4),
+            2.1449361744457622e-4,
+            1.23,
+        ),
+    ],
+)
+def test_touch_after_another_one_is_within_tolerance(
+    rate: int,
+    tolerance: float,
+    thickness: float,
+    friction: float,
+    heights: tuple[float, float],
+    speeds: tuple[float, float],
+    slip: float,
+    growth: float,
+) -> None:
+    # Both touch the plane for a moment, the second one in the frame after the first.
+    first = 5
+    springs = {
+        "positions": [[0.0, 0.0, 5.0], [2.0, 0.0, heights[0]], [4.0, 0.0, heights[1]]],
+        "velocities": [[0.0] * 3, [0.0, 0.0, -speeds[0]], [slip, 0.0, -speeds[1]]],
+        "springs": [[0, 1]],
+        "stiffness": 1e-8,
+    }
+    parameters = {"rate": float(rate), "tolerance": tolerance, "contact.thickness": thickness}
+    frames = frames_above_a_plane(springs, parameters, friction, first + rate)
+    assert error_of_frames(frames[first:], (16000, 11000), 0.02 * tolerance) <= growth * tolerance
+
+
 @pytest.mark.parametrize(("rate", "friction"), [(90.0, 0.01), (92.0, 0.012)])
 def test_layers_that_slide_to_and_fro_are_within_tolerance(rate: float, friction: float) -> None:
     # Found by a search. A triangle of cloth slides to and fro on another. A particle that swings hides the friction.

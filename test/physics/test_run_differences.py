@@ -35,7 +35,7 @@ def test_second_differences_are_those_of_three_pieces() -> None:
     a, b, c = (piece.combine(2)[0] - piece.combine(1)[0] for piece in pieces)
     second = differences.second_differences(pieces[2], 2)
     assert second is not None
-    assert second[0] == pytest.approx(np.linalg.norm(a - 2.0 * b + c, axis=0), rel=1e-6)
+    assert second[0] == pytest.approx(np.linalg.norm(a - 2.0 * b + c, axis=0) / 6.0**0.5, rel=1e-6)
     # They are smaller by the square of angular frequency times length.
     assert second[0].max() < 0.02 * np.linalg.norm(c, axis=0).max()
 

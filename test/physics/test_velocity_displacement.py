@@ -40,6 +40,17 @@ def test_joints_displace_by_their_modes() -> None:
     assert plan.velocity_displacement(0.0, positions, errors, TIME)[0] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize(("extent", "frequency"), [(100.0, 1e3), (10.0, 1e4)])
+def test_distant_particle_does_not_stiffen_a_slack_spring(extent: float, frequency: float) -> None:
+    # Across a spring at its rest length nothing holds the particle. A difference of forces over 1e-5 of the extent
+    # would find a stiffness.
+    spring = PairSprings([[0, 1]], 0.1, 0.1 * frequency * frequency)
+    plan = compile(Model([1.0, 1.0, 1.0], [spring], anchors=[0]))
+    positions, errors = np.array([[0.0, 0.1, extent], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.zeros((3, 3))
+    errors[1, 1] = 1e-7
+    assert plan.velocity_displacement(0.0, positions, errors, TIME)[0] == pytest.approx(TIME * 1e-7, rel=0.05)
+
+
 def test_errors_that_are_not_finite_displace_without_bound() -> None:
     plan = compile(Model([0.1], [Gravity()]))
     assert plan.velocity_displacement(0.0, np.zeros((3, 1)), np.full((3, 1), np.nan), TIME)[0] == math.inf

@@ -43,6 +43,6 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
     "passing": (climb_hidden.passing, 9),
     "orbit": (climb_hidden.orbit, 10),
     "stairs": (climb_hidden.stairs, 9),
-    "touching": (climb_kinks.touching, 11),
+    "sticking": (climb_kinks.sticking, 11),
     "dipping": (climb_hidden.dipping, 10),
 }

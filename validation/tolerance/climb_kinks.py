@@ -147,7 +147,7 @@ def landing(rng: np.random.Generator) -> Trial:
     return _evaluate_contact(rng, scene, "lands", tables)
 
 
-def touching(rng: np.random.Generator) -> Trial:
+def sticking(rng: np.random.Generator) -> Trial:
     """Evaluate a particle that touches a plane with friction for a moment, while another one swings."""
     rate, tolerance = rate_and_tolerance(rng)
     thickness, friction = log_uniform(rng, 5e-4, 2e-2), log_uniform(rng, 0.1, 4.0)

@@ -80,12 +80,12 @@ class ChangeRule:
             if self.may_touch:
                 is_changed, present.vibration = self._compare_friction(tableau, piece, n_runs, target)
             if self.may_touch or piece.ratio > 1:
-                has_new_jerk, present.jerk_change = self._compare_jerk(tableau, piece, n_runs, target)
+                has_new_jerk, present.jerk_error = self._compare_jerk(tableau, piece, n_runs, target)
                 is_changed = is_changed or has_new_jerk
             # A kink of the jaw's acceleration errs by up to a step's share.
             is_changed = is_changed or VELOCITY_ERROR_TIME * tableau.jaw_speed_change(n_runs) > target * piece.steps
         energy, present.contact_energy, rates = tableau.contact_summary(n_runs)
-        end, has_jerk = tableau.summary(n_runs), self.may_touch and piece.ratio == 1 and present.jerk_change > 0.0
+        end, has_jerk = tableau.summary(n_runs), self.may_touch and piece.ratio == 1 and present.jerk_error > 0.0
         touches = has_jerk or energy > 0.0 or end.contact_energy > 0.0 or max(rates[0], end.self_contact[0]) > 0.0
         self.is_unexpected = touches and not self.may_touch and not energy_alone
         if touches and n_runs > 1 and not energy_alone:
@@ -108,7 +108,7 @@ class ChangeRule:
         trust_factor = CONSTANTS.estimate_trust_factor
         known = max(trust_factor * trust_factor * trust_factor * error, target)
         if self._jerk_displacement > known:
-            present.jerk_change *= known / self._jerk_displacement
+            present.jerk_error *= known / self._jerk_displacement
 
     def _compare_friction(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float
@@ -134,7 +134,7 @@ class ChangeRule:
     def _compare_jerk(
         self, tableau: ExtrapolationTableau, piece: Piece, n_runs: int, target: float
     ) -> tuple[bool, float]:
-        """Return if new jerk by contact or multirate hinges displaces, and the largest [m/s^3]; set `may_kink`.
+        """Return if new jerk by contact or multirate hinges displaces, and its largest error [m/s]; set `may_kink`.
 
         Activity and contact energy of another particle hide it. A run errs by h^2/24 times the change of jerk. If a
         contact begins or ends within half a step of the piece's ends, all runs miss it by up to as much. Multirate
@@ -147,12 +147,12 @@ class ChangeRule:
             change = contact_change
         else:
             return False, 0.0
-        largest = largest_distance(change, np.zeros_like(change))
-        is_new = largest > CONSTANTS.estimate_trust_factor * self.known.jerk_change
+        velocities = change * (interval * interval / 24.0)
+        largest = largest_distance(velocities, np.zeros_like(velocities))
+        is_new = largest > CONSTANTS.estimate_trust_factor * self.known.jerk_error
         if piece.ratio > 1 and not is_new:
             return False, largest
         # Contact may begin or end within half a step whether it is new or not.
-        velocities = change * (interval * interval / 24.0)
         self._jerk_displacement = self._displacement(tableau, n_runs, velocities, target)
         displaces = self._jerk_displacement > target
         self.may_kink = displaces and piece.ratio == 1

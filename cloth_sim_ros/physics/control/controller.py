@@ -502,10 +502,10 @@ class Controller:
         n_confirming = 0
         if self.n_runs == 1 and not (self._is_rough or self.in_fallback):
             n_confirming = self._stability.count_confirming_runs(piece.steps, piece.length)
-            if self._changes.has_new_contact:
-                # It may begin and end within the piece, so that no later estimate contains it.
-                n_confirming = max(1, n_confirming)
-        estimate = ErrorEstimate(self._is_rough, jumps=self._changes.may_jump, may_coincide=n_confirming > 0)
+        # New contact may begin and end within the piece, so that no later estimate contains it.
+        is_touch = self._changes.has_new_contact and not (self._is_rough or self.in_fallback)
+        may_coincide = n_confirming > 0 or is_touch
+        estimate = ErrorEstimate(self._is_rough, jumps=self._changes.may_jump, may_coincide=may_coincide)
         self._estimate = estimate
         errors = estimate.errors
         if not self.estimates_error:
@@ -536,6 +536,10 @@ class Controller:
         estimate.confirm(floor, measure)
         del errors[self.options.n_runs :]
         if not self.in_fallback:
+            self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
+        while is_touch and self.n_runs == len(errors) < self.options.n_runs:
+            self._append_estimate(tableau, chosen)
+            estimate.confirm(floor, measure)
             self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
         if self._is_rough or self._changes.may_jump or self._changes.may_kink:
             estimate.end_error = self._estimate_ends(tableau, piece)

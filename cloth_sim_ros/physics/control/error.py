@@ -192,7 +192,8 @@ class ErrorRule:
             return False
         differences, known = second_differences(), self._known_differences
         if differences is None:
-            return True
+            # In the pieces before, no particle had changes that matter. So they are as large as those of the estimate.
+            return largest_change > CONSTANTS.estimate_trust_factor * expected_fraction * self.memory.lower_order_error
         if known is not None:
             differences = differences - (CONSTANTS.estimate_trust_factor * expected_fraction) * known
         of_positions, of_velocities = differences

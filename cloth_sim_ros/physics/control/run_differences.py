@@ -9,6 +9,8 @@ T_2 - T_1, from piece to piece, contain the same. A slow motion has large differ
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from cloth_sim_ros.physics.arithmetic.arrays import lengths
@@ -17,8 +19,9 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import RUN_DIFFERENCES_KEY
 from cloth_sim_ros.physics.state.state import State
 
-#: Number of pieces before the present one that second differences need.
-_HISTORY = 2
+#: Number of pieces before the present one that second differences need. Their ratio to differences that pieces do not
+#: have in common, as of waves faster than a piece: the root of 1 + 4 + 1.
+_HISTORY, _GROWTH = 2, math.sqrt(6.0)
 
 
 class RunDifferences:
@@ -39,11 +42,14 @@ class RunDifferences:
         self._present: tuple[ExtrapolationTableau, int, Array, Array | None] | None = None
 
     def second_differences(self, tableau: ExtrapolationTableau, n_runs: int) -> Array | None:
-        """Return second differences of each particle's position [m] and velocity [m/s], (2, n); None if unknown.
+        """Return second differences of each particle's position [m] and velocity [m/s], (2, n), over the root of 6.
 
         Args:
             tableau: runs of the piece.
             n_runs: number of combined runs, from 2; the same in the pieces before.
+
+        Returns:
+            The second differences; None if they are unknown.
         """
         coefficient = coefficient_of(tableau.counts[: n_runs - 1], tableau.duration)
         (x, v), (y, w) = tableau.combine(n_runs), tableau.combine(n_runs - 1)
@@ -51,7 +57,7 @@ class RunDifferences:
         second = None
         if len(self._pieces) == _HISTORY:
             older, newer = self._pieces
-            changes = coefficient * (present - newer - (newer - older))
+            changes = coefficient / _GROWTH * (present - newer - (newer - older))
             second = np.stack((lengths(changes[0]), lengths(changes[1])))
         self._present = tableau, n_runs, present, second
         return second

@@ -170,20 +170,20 @@ class ErrorState(ControllerState):
 class ChangeState(ControllerState):
     """State of `ChangeRule`: contact, friction and hinges that the last frame with an error estimate contained."""
 
-    key = "control.contact"
+    key = "control.changes"
 
     #: Largest contact energy per mass, in U^2/2.
     contact_energy: float = bounded_number(0.0, minimum=0.0)
     #: Largest velocity of a stuck particle that vibrates along a surface [m/s].
-    vibration: float = bounded_number(0.0, minimum=0.0, is_later=True)
-    #: Largest change of a particle's jerk by contact, or by multirate hinges [m/s^3].
-    jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
+    vibration: float = bounded_number(0.0, minimum=0.0)
+    #: Largest velocity error of a run by the change of a particle's jerk by contact, or by multirate hinges [m/s].
+    jerk_error: float = bounded_number(0.0, minimum=0.0)
 
     def include(self, further: ChangeState) -> None:
         """Raise the numbers to those of a further state that are larger."""
         self.contact_energy = max(self.contact_energy, further.contact_energy)
         self.vibration = max(self.vibration, further.vibration)
-        self.jerk_change = max(self.jerk_change, further.jerk_change)
+        self.jerk_error = max(self.jerk_error, further.jerk_error)
 
 
 @attrs.define
@@ -345,6 +345,7 @@ LEGACY_KEYS = (
     "control.precision",
     "control.earlier_velocities",
     "control.particle_changes",
+    "control.contact",
 )
 
 
