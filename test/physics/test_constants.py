@@ -67,6 +67,7 @@ REASONS = {
         3.0: "axes",
         4.0: "estimates of a motion that begins: after 0, 1, 3 and 7 frames; later ones repeat the last",
     },
+    "run_differences.py": {6.0: "1 + 4 + 1, squares of the weights of a second difference"},
     "stability.py": {
         3.0: "phases drift apart by the third power of the frequency",
         **dict.fromkeys(
