@@ -78,6 +78,9 @@ _ATTRIBUTES = (
 class Controller:
     """Controller of one explicit advance: chooses pieces, number of runs and steps, by rules and the work budget.
 
+    A frame has stretches, a stretch has equal pieces, a piece has steps. The refinement is the factor by which steps
+    are shorter than the longest stable ones. A motion is rough where a kink or a jump of a force requires short pieces.
+
     Args:
         options: settings of the integrator.
         plan: equations of motion.

@@ -157,10 +157,10 @@ class ErrorRule:
         if not known_error:
             return math.inf, math.inf
         expected_fraction = fraction * coefficient_of(counts[:-1], length) / memory.lower_order_coefficient
-        if second_differences is not None:
-            known_fraction = fraction * coefficient_of(counts[:-1], length) / memory.lower_order_coefficient
-            if self._has_hidden_change(lower_order_error, second_differences, known_fraction, length):
-                return math.inf, math.inf
+        if second_differences and self._has_hidden_change(
+            lower_order_error, second_differences, expected_fraction, length
+        ):
+            return math.inf, math.inf
         # The larger the change by the last run, the smaller the gain of the next one; at a force jump it is 0.
         growth = max(1.0, lower_order_error / (memory.lower_order_error * expected_fraction))
         if memory.velocity_change:

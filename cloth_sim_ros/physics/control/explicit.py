@@ -2,10 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """One advance by explicit steps: pieces that three rules accept or reject, within the work limit of a frame.
 
-A piece of length H is integrated by K leapfrog runs, and their combination has order K + 1. `Controller` chooses K,
-steps and H. The piece is accepted if its steps were stable and its error fits its budget. Without a finer choice it is
-accepted over its budget. A piece whose error is not known to fit may create no energy. In the style of ODEX: Hairer,
-Norsett, Wanner, Solving Ordinary Differential Equations I, II.9.
+A piece is a part of the frame, usually all of it. It has a length H and is integrated by K leapfrog runs. Their
+combination has order K + 1, because forces that depend on velocities leave odd powers of h in the error. `Controller`
+chooses K, steps and H for least work, as ODEX does (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
+II.9). Here an error estimate needs a further run, so most pieces have only a predicted error.
+
+A piece is accepted if its steps were stable and its error fits its budget. If neither more runs, finer steps nor halves
+fit the work limit, it is accepted over its budget. A piece that creates energy is rejected if its error exceeds the
+budget, or without a tolerance.
 """
 
 from __future__ import annotations
@@ -122,7 +126,7 @@ def integrate(
             if accumulator is not None:
                 accumulator.reset()
             continue
-        if error > allowed:  # rule 2: error, by an estimate unless it is predicted
+        if error > allowed:  # rule 2: error; the predicted one does not fit, or it is unknown, so estimate
             n_runs = controller.n_runs
             error = controller.estimate(tableau, piece, allowed)
             if controller.n_runs != n_runs and not controller.is_stable(tableau, piece):
@@ -130,8 +134,8 @@ def integrate(
                 continue
             if error > allowed and controller.reject_inaccurate(piece, allowed):
                 continue
-        is_known = error <= allowed and controller.options.tolerance is not None
-        if not (is_known or controller.check_energy(tableau)):  # rule 3: energy
+        fits = error <= allowed and controller.options.tolerance is not None
+        if not (fits or controller.check_energy(tableau)):  # rule 3: energy
             controller.reject_energy(piece)
             continue
         # Times of short pieces may round to the same number, so the next piece must not reuse these runs.
