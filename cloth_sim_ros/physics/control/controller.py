@@ -540,7 +540,7 @@ class Controller:
         del errors[self.options.n_runs :]
         if not self.in_fallback:
             self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
-        while is_touch and self.n_runs == len(errors) < self.options.n_runs:
+        while is_touch and self.n_runs == len(errors) < self.options.n_runs and not estimate.needs_double:
             self._append_estimate(tableau, chosen)
             estimate.confirm(floor, measure)
             self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
