@@ -61,10 +61,13 @@ def test_stored_differences_continue_in_the_next_frame() -> None:
         differences.accept(piece, 2)
         differences.store(state, is_known=True)
     differences = RunDifferences(state)
-    assert differences.second_differences(pieces[2], 2) is not None
+    second = differences.second_differences(pieces[2], 2)
+    assert second is not None
     differences.accept(pieces[2], 2)
     # A frame that starts again has the pieces of its start.
     differences.restart()
-    assert differences.second_differences(pieces[2], 2) is not None
+    again = differences.second_differences(pieces[2], 2)
+    assert again is not None
+    assert (again == second).all()
     differences.store(state, is_known=False)
     assert RunDifferences(state).second_differences(pieces[2], 2) is None

@@ -192,7 +192,7 @@ class ErrorRule:
             return False
         differences, known = second_differences(), self._known_differences
         if differences is None:
-            # In the pieces before, no particle had changes that matter. So they are as large as those of the estimate.
+            # The changes of the last pieces were too small to matter. So larger ones than expected are new.
             return largest_change > CONSTANTS.estimate_trust_factor * expected_fraction * self.memory.lower_order_error
         if known is not None:
             differences = differences - (CONSTANTS.estimate_trust_factor * expected_fraction) * known
