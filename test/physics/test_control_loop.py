@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.force_jump import missed_velocity_change
-from cloth_sim_ros.physics.control.frame_totals import FrameTotals
+from cloth_sim_ros.physics.control.frame_totals import FrameTotals, Piece
 from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import coefficient_of
@@ -256,7 +258,11 @@ def test_nanosecond_piece_gets_no_finer_steps() -> None:
     controller = _controller()
     piece = controller.choose_piece(0.0)
     assert piece is not None
-    controller._estimate = ErrorEstimate(is_rough=False, errors=[1.0])  # private: that of the piece [m]
+    # private: the estimate of the piece, and its error [m]
+    tableau = controller.tableau(0.0, piece, None, None)
+    controller._estimate = ErrorEstimate(
+        tableau, piece, controller._error, controller.work, chosen_runs=1, allowed=1e-9, errors=[1.0]
+    )
     assert controller.reject_inaccurate(piece, 1e-9)
     assert not controller.reject_inaccurate(piece._replace(length=1e-10), 1e-9)
 
@@ -294,12 +300,24 @@ def test_an_estimate_measures_one_displacement(monkeypatch: pytest.MonkeyPatch) 
     assert sorted(calls)[len(calls) // 2] == 1
 
 
+def _estimate(
+    errors: Sequence[float], accurate: Mapping[int, float], *, approximate: Sequence[int] = (), **options: Any
+) -> ErrorEstimate:
+    """Return an estimate with errors [m], those of some numbers of runs approximate; accurate ones can be measured."""
+    tableau: Any = SimpleNamespace(difference=accurate.__getitem__, evaluations=0)
+    rule: Any = SimpleNamespace(rounding_floor=lambda *_: 1e-15, target=lambda _: 0.0, max_runs=4)
+    work: Any = SimpleNamespace(add=lambda *_: None, weight=1.0)
+    options = {"chosen_runs": 1, "allowed": 1e-9, **options}
+    estimate = ErrorEstimate(tableau, Piece(PERIOD, 10, 1, PERIOD, 1), rule, work, **options)
+    for n_runs, error in enumerate(errors, start=1):
+        estimate.append(error, is_approximate=n_runs in approximate)
+    return estimate
+
+
 @pytest.mark.parametrize(("accurate", "expected"), [(4e-9, [4e-9, 4e-9]), (1e-10, [1e-9, 1e-10])])
 def test_approximate_error_is_measured_before_it_raises_another(accurate: float, expected: list[float]) -> None:
-    estimate = ErrorEstimate(is_rough=False)
-    estimate.append(1e-9)
-    estimate.append(3e-9, is_approximate=True)
-    estimate.confirm(lambda n_runs: 1e-15, lambda n_runs: accurate)
+    estimate = _estimate([1e-9, 3e-9], {2: accurate}, approximate=[2])
+    estimate.confirm()
     assert estimate.errors == expected
     assert not estimate.approximate
 
@@ -324,22 +342,20 @@ def test_kink_anywhere_in_the_last_half_step_shows(power: int) -> None:
 
 
 def test_raised_error_stays_where_it_is_measured_afterwards() -> None:
-    estimate = ErrorEstimate(is_rough=False)
-    for error, is_approximate in ((1e-4, True), (4e-8, True), (3e-9, True), (1e-5, False)):
-        estimate.append(error, is_approximate=is_approximate)
-    estimate.confirm(lambda n_runs: 1e-15, {1: 1e-4, 2: 4e-8, 3: 3.15e-9}.__getitem__)
+    errors, accurate = [1e-4, 4e-8, 3e-9, 1e-5], {1: 1e-4, 2: 4e-8, 3: 3.15e-9}
+    estimate = _estimate(errors, accurate, approximate=[1, 2, 3], chosen_runs=4, allowed=1e-8)
+    estimate.confirm()
     assert estimate.errors[1:] == [1e-5, 1e-5, 1e-5]
-    assert estimate.sufficient_runs(4, 1e-8) == 4
+    assert estimate.sufficient_runs() == 4
 
 
 def test_accurate_error_decides_where_an_approximate_one_fits() -> None:
-    estimate = ErrorEstimate(is_rough=False)
-    estimate.append(3e-9)
-    estimate.append(1e-10, is_approximate=True)
-    assert estimate.sufficient_runs(1, 1e-9) == 2
-    estimate.replace(2, 2e-9)
+    estimate = _estimate([3e-9, 1e-10], {2: 2e-9}, approximate=[2])
+    # private: the number of runs by the approximate error
+    assert estimate._first_fitting() == 2
+    assert estimate.sufficient_runs() == 1
     assert not estimate.approximate
-    assert estimate.sufficient_runs(1, 1e-9) == 1
+    assert estimate.errors == [3e-9, 2e-9]
 
 
 def test_no_accepted_error_is_approximate(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -390,6 +406,6 @@ def test_further_run_needs_a_gain_of_work(refinement: float, expected: bool) -> 
 
 
 def test_largest_estimate_counts_if_runs_may_coincide() -> None:
-    estimate = ErrorEstimate(is_rough=False, may_coincide=True, errors=[1.0, 1.5, 0.1])
-    estimate.confirm(lambda _: 0.0, lambda _: 0.0)
+    estimate = _estimate([1.0, 1.5, 0.1], {}, may_coincide=True)
+    estimate.confirm()
     assert estimate.errors[0] == 1.5

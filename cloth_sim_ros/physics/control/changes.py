@@ -13,6 +13,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.control.error import displacement_by_velocities
 from cloth_sim_ros.physics.control.frame_totals import Piece
 from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, ExtrapolationTableau
@@ -166,6 +167,4 @@ class ChangeRule:
         if VELOCITY_ERROR_TIME * largest_distance(velocities, np.zeros_like(velocities)) <= target:
             return 0.0
         end, x = tableau.t + tableau.duration, tableau.combine(n_runs)[0]
-        displacement, evaluations = self._plan.velocity_displacement(end, x, velocities, VELOCITY_ERROR_TIME)
-        self._work.add(evaluations)
-        return displacement
+        return displacement_by_velocities(self._plan, self._work, end, x, velocities)

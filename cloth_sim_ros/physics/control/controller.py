@@ -6,7 +6,7 @@ The loop `explicit.integrate` asks in this order:
 
 - `choose_piece` returns the next piece: its length H, the steps of its first run, the multirate ratio. It is stable by
   the bounds at its start and by predicted contact, and it fits the work budget.
-- `tableau` returns the runs of a piece, each calculated when it is needed.
+- `tableau` returns the runs of a piece, each calculated when it is needed. `run` calculates the chosen ones.
 - `is_stable` tells if the steps were within the limits that the runs met. `reject_unstable` makes them shorter.
 - `predict` returns the error from the last estimate; it is infinite if an estimate is due. `estimate` measures it.
   `reject_inaccurate` chooses more runs, shorter steps or a shorter piece.
@@ -29,10 +29,9 @@ from cloth_sim_ros.physics.control.changes import ChangeRule
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule
-from cloth_sim_ros.physics.control.error import ErrorRule
+from cloth_sim_ros.physics.control.error import ErrorRule, displacement_by_velocities
 from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
-from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
 from cloth_sim_ros.physics.control.frame_totals import ErrorPrediction, FrameTotals, Piece
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
@@ -47,7 +46,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     step_counts,
 )
 from cloth_sim_ros.physics.integrators.limit import steps_for
-from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
@@ -59,15 +58,13 @@ from cloth_sim_ros.physics.state.controller_state import (
 )
 from cloth_sim_ros.physics.state.state import State
 
-#: Largest number of force evaluations of a displacement by velocities.
-DISPLACEMENT_EVALUATIONS = 9
 #: Minimum steps of a piece for halving; with fewer steps the runs of a half would not differ enough.
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Shortest piece, relative to the frame; in a frame of 60 Hz it is a nanosecond.
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_allowed _applied_refinement _attempts _before _changes _duration _elapsed _ends _error _estimate "
+    "_applied_refinement _attempts _before _changes _duration _elapsed _ends _error _estimate "
     "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_turn "
     "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
     "_run_differences _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget "
@@ -149,7 +146,7 @@ class Controller:
         limits = memory.max_step, self._fallback_count, contact_time, self.limit, self._ratio
         #: Work of explicit steps.
         self.work = WorkBudget(plan, options.work, duration, *limits)
-        measure = partial(_measure_displacement, plan, self.work, t, state.x)
+        measure = partial(displacement_by_velocities, plan, self.work, t, state.x)
         self._error = ErrorRule(error, self.budget, options.n_runs, state, self._stability, measure)
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         self._changes = ChangeRule(plan, ChangeState.load(state), self.work, may_touch=may_touch)
@@ -200,9 +197,8 @@ class Controller:
         self.estimates_error = True
         if self._changes.is_unexpected:
             self._changes.may_touch = True
-            if self._ratio > 1:
-                # Waves of contact may have any frequency, without damping.
-                self._multirate.ratio = self._ratio = 1
+            # Waves of contact may have any frequency, without damping.
+            self._stop_multirate()
         self.__dict__.pop("_energy", None)
         self._begin()
 
@@ -277,8 +273,7 @@ class Controller:
             self._fit_to_budget(stretch, max_step, reserved)
             steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         if self.estimates_error:
-            required_refinement = self._required_refinement(self.n_runs, stretch, max_step)
-            self._applied_refinement = max(self.refinement, required_refinement)
+            self._require_estimates(stretch, max_step)
         steps = max(1, math.ceil(steps / n_pieces / ratio)) * ratio
         return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
 
@@ -316,6 +311,17 @@ class Controller:
             rule.keep_ratio(max_step, self._duration)
         self.estimates_error = self.estimates_error or (self._has_tolerance and rule.ratio != recorded_ratio)
         return rule.ratio
+
+    def _stop_multirate(self) -> None:
+        """Evaluate hinges in each step from the next division on, until the frame ends."""
+        if self._ratio > 1:
+            self._multirate.ratio = self._ratio = 1
+
+    def _require_estimates(self, length: float, max_step: float) -> None:
+        """Estimate the errors of all pieces; record the refinement that their steps [s] have over a length [s]."""
+        self.estimates_error = True
+        required_refinement = self._required_refinement(self.n_runs, length, max_step)
+        self._applied_refinement = max(self.refinement, required_refinement)
 
     def _halve(self, length: float, *, is_rough: bool = True) -> bool:
         """Halve the next piece, of a length [s], as rough motion or not; return False if it would be too short."""
@@ -388,7 +394,7 @@ class Controller:
         ):
             return previous
         self.work.used += self.work.call_work
-        expected_runs = self._count_estimates(counts) + 1 if is_estimated else self.n_runs
+        expected_runs = self._count_estimates(piece.steps) + 1 if is_estimated else self.n_runs
         if is_estimated and self._needs_more_runs(counts[: expected_runs + 1], piece.ratio):
             expected_runs += 1
         return ExtrapolationTableau(
@@ -413,13 +419,18 @@ class Controller:
         is_repeated = self._attempts > 0 or self._is_rough
         return self.n_runs == 2 and is_repeated and self._plan.threads_per_run(ratio) == 1
 
+    def run(self, tableau: ExtrapolationTableau) -> None:
+        """Calculate the chosen runs of a tableau, and count their work."""
+        evaluations = tableau.evaluations
+        tableau.summary(self.n_runs)
+        self.work.add(tableau.evaluations - evaluations, self.work.weight)
+
     # Rule 1: stability.
 
     def is_stable(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
-        """Calculate the chosen runs; return true if they are finite, with steps within the limit that they met."""
+        """Return True if the chosen runs are finite, with steps within the limit that they met."""
         n_runs = self.n_runs
-        evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
-        self.work.add(tableau.evaluations - evaluations, self.work.weight)
+        summary = tableau.summary(n_runs)
         if not summary.is_finite or piece.step > self._stability.encountered_limit(tableau, n_runs, summary):
             return False
         return piece.ratio == 1 or not self._multirate.exceeds_limit(piece.ratio * piece.step, summary)
@@ -437,7 +448,7 @@ class Controller:
             # Finer steps would not have got that far.
             factor, failure = 2.0 if piece.step <= limit else 1.0, "not finite"
         elif piece.ratio > 1 and self._multirate.exceeds_limit(piece.ratio * piece.step, summary):
-            self._multirate.ratio = self._ratio = 1
+            self._stop_multirate()
         # If a run ended on a surface, the limit is zero.
         self._met_limit = min(self._met_limit, limit or 0.5 * piece.step)
         self._retry(factor, failure, piece)
@@ -451,10 +462,10 @@ class Controller:
         """
         is_stretch_end = piece.pieces_left == 1
         elapsed = self._ends[-1] if is_stretch_end else self._elapsed + piece.length
-        self._allowed = self.budget * (elapsed / self._duration) - self._frame.error
+        allowed = self.budget * (elapsed / self._duration) - self._frame.error
         if self._frame.has_missed:
-            self._allowed = max(self._allowed, self.budget * (piece.length / self._duration))
-        return self._allowed
+            allowed = max(allowed, self.budget * (piece.length / self._duration))
+        return allowed
 
     def predict(self, tableau: ExtrapolationTableau, piece: Piece) -> float:
         """Return a piece's error [m], predicted from the last estimate; infinite if unknown or an estimate is due."""
@@ -502,88 +513,51 @@ class Controller:
         Returns:
             The error; infinite if single precision does not resolve that of further runs, which may suffice.
         """
-        n_confirming = 0
-        if self.n_runs == 1 and not (self._is_rough or self.in_fallback):
-            n_confirming = self._stability.count_confirming_runs(piece.steps, piece.length)
-        # New contact may begin and end within the piece, so that no later estimate contains it.
-        is_touch = self._changes.has_new_contact and not (self._is_rough or self.in_fallback)
-        may_coincide = n_confirming > 0 or is_touch
-        estimate = ErrorEstimate(self._is_rough, jumps=self._changes.may_jump, may_coincide=may_coincide)
-        self._estimate = estimate
-        errors = estimate.errors
+        changes, n_confirming, is_touch = self._changes, 0, False
+        if not (self._is_rough or self.in_fallback):
+            if self.n_runs == 1:
+                n_confirming = self._stability.count_confirming_runs(piece.steps, piece.length)
+            # New contact may begin and end within the piece, so that no later estimate contains it.
+            is_touch = changes.has_new_contact
+        estimate = self._estimate = ErrorEstimate(
+            tableau,
+            piece,
+            self._error,
+            self.work,
+            self.n_runs,
+            allowed,
+            rounding_fraction=piece.length / self._stretch,
+            is_rough=self._is_rough,
+            jumps=changes.may_jump,
+            may_coincide=n_confirming > 0 or is_touch,
+        )
         if not self.estimates_error:
-            self.estimates_error = True
-            required_refinement = self._required_refinement(self.n_runs, piece.length, piece.max_step)
-            self._applied_refinement = max(self.refinement, required_refinement)
-        n_estimates, chosen = max(self._count_estimates(tableau.counts), 1 + n_confirming), self.n_runs
-        if chosen > 1 and not self._is_rough:
-            self._measure_difference(tableau, chosen)
-        while len(errors) < n_estimates:
-            self._append_estimate(tableau, chosen)
-        if (errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
-            target, reserved = CONSTANTS.error_target_fraction * allowed, self._rest_work(piece)
-            while len(errors) < self.options.n_runs and errors[-1] > target:
-                if errors[-1] <= allowed and not self._may_gain(piece, target):
-                    break
-                is_affordable = self.work.fits(reserved + self.work.weight * tableau.counts[len(errors) + 1])
-                # If runs do not gain on one another, as at a force jump, a further run does not either.
-                is_useless = len(errors) > 1 and errors[-1] > errors[-2]
-                if is_useless or not is_affordable:
-                    break
-                if tableau.single_precision and not self._precision.resolves_error(len(errors) + 2):
-                    estimate.needs_double = self._fits(self.n_runs, self._refinement_in_double(piece), piece)
-                    break
-                self._append_estimate(tableau, chosen)
-        floor = partial(self._error.rounding_floor, steps=piece.steps, target=self._error.target(piece.length))
-        measure = partial(self._measure_difference, tableau)
-        estimate.confirm(floor, measure)
-        del errors[self.options.n_runs :]
+            self._require_estimates(piece.length, piece.max_step)
+        estimate.begin(max(self._count_estimates(piece.steps), 1 + n_confirming))
+        if (estimate.errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
+            is_resolved = estimate.extend(self._applied_refinement, self._rest_work(piece), self._precision)
+            if not is_resolved:
+                estimate.needs_double = self._fits(self.n_runs, self._refinement_in_double(piece), piece)
+        estimate.confirm()
         if not self.in_fallback:
-            self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
-        while is_touch and self.n_runs == len(errors) < self.options.n_runs and not estimate.needs_double:
-            self._append_estimate(tableau, chosen)
-            estimate.confirm(floor, measure)
-            self.n_runs = estimate.confirmed_runs(chosen, allowed, floor, measure)
-        if self._is_rough or self._changes.may_jump or self._changes.may_kink:
-            estimate.end_error = self._estimate_ends(tableau, piece)
-        estimate.end_error += self._changes.kink_error
+            self.n_runs = estimate.sufficient_runs(is_touch=is_touch)
+        if self._is_rough or changes.may_jump or changes.may_kink:
+            estimate.add_end_error(self._plan, self._state, self.n_runs)
+        estimate.end_error += changes.kink_error
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
-    def _append_estimate(self, tableau: ExtrapolationTableau, chosen: int) -> None:
-        """Append the next combination's error [m] to the estimate; approximate if the combination is not chosen."""
-        n_runs = len(self._estimate.errors) + 1
-        # A wrong approximation costs a run.
-        is_cheap = n_runs > chosen and tableau.counts[n_runs] > DISPLACEMENT_EVALUATIONS
-        is_accurate = self._is_rough or n_runs == chosen or is_cheap
-        error = self._measure_difference(tableau, n_runs, is_accurate=is_accurate)
-        self._estimate.append(error, is_approximate=not is_accurate)
-
-    def _measure_difference(self, tableau: ExtrapolationTableau, n_runs: int, *, is_accurate: bool = True) -> float:
-        """Return the error estimate of the combination of n_runs runs [m], and count its work."""
-        evaluations = tableau.evaluations
-        error = tableau.difference(n_runs) if is_accurate else tableau.approximate_difference(n_runs)
-        self.work.add(tableau.evaluations - evaluations, self.work.weight)
-        return error
-
-    def _count_estimates(self, counts: tuple[int, ...]) -> int:
+    def _count_estimates(self, steps: int) -> int:
         """Return the number of combinations whose error is estimated, so that the chosen one is reliable.
 
         The error of a single run does not follow its order in a few steps, or where friction may jump. So its estimate
         may be small by chance. A second one confirms it.
+
+        Args:
+            steps: of the first run.
         """
-        is_ordered = counts[0] >= CONSTANTS.min_ordered_steps and not self._changes.may_jump
+        is_ordered = steps >= CONSTANTS.min_ordered_steps and not self._changes.may_jump
         is_confirmed = self.n_runs == 1 and not is_ordered and not self.in_fallback
         return min(self.n_runs + is_confirmed, self.options.n_runs)
-
-    def _estimate_ends(self, tableau: ExtrapolationTableau, piece: Piece) -> float:
-        """Return the error [m] that a force jump in a piece's first or last half step may cause; count its work."""
-        end, error, half_step, t = self._state.shallow_copy(), 0.0, 0.5 * piece.step, tableau.t
-        tableau.commit(self.n_runs, end)
-        for state, time, duration in ((self._state, t, -half_step), (end, t + piece.length, half_step)):
-            change = missed_velocity_change(self._plan, state, time, duration)
-            error += _measure_displacement(self._plan, self.work, time, state.x, change)
-            self.work.add(EVALUATIONS)
-        return error
 
     def reject_inaccurate(self, piece: Piece, allowed: float) -> bool:
         """Reject an inaccurate piece: choose more runs, finer steps or halves; False if it must be accepted.
@@ -594,55 +568,68 @@ class Controller:
         """
         estimate = self._estimate
         if estimate.needs_double:
-            refinement = self._refinement_in_double(piece)
-            if refinement < self.refinement:
-                self.refinement, self._piece = refinement, None
-                if self._ratio > 1:
-                    # The error of impulses would cost further runs.
-                    self._multirate.ratio = self._ratio = 1
-            self._precision.require_double()
-            self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
+            self._repeat_in_double(piece)
             return True
-        errors, error = estimate.errors, estimate.error(self.n_runs)
-        floor = self._error.rounding_floor(self.n_runs, piece.steps, self._error.target(piece.length))
+        error, floor = estimate.error(self.n_runs), estimate.rounding_floor(self.n_runs)
         if self.in_fallback or error <= CONSTANTS.estimate_trust_factor * floor:
             return False  # no step reduces the error below rounding
-        target = CONSTANTS.error_target_fraction * allowed
-        if errors[self.n_runs - 1] <= allowed:
-            # Only the ends of the piece exceed its budget.
-            n_runs, refinement, is_smooth = self.n_runs, self.refinement * root(error / target, 3), False
-        else:
-            n_runs, refinement = self._choose_runs(piece, self._applied_refinement, target)
-            if self._is_rough:
-                # Errors may be small by chance, so steps do not grow.
-                refinement = max(refinement, self.refinement)
-            # A single estimate does not show whether the motion is smooth; else combinations gain on one another.
-            is_smooth = len(errors) == 1 or CONSTANTS.estimate_trust_factor * min(errors) < errors[0]
+        n_runs, refinement, is_smooth = self._choose_finer(estimate, error)
         self._precision.n_misses += 1
         present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length, piece.max_step))
-        next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
-        is_affordable = self._attempts < CONSTANTS.max_failed_attempts and piece.length >= _MIN_PIECE * self._duration
-        is_affordable = is_affordable and self._fits(n_runs, next_refinement, piece)
+        max_refinement = CONSTANTS.max_refinement_factor * present_refinement
+        next_refinement = min(refinement, max_refinement)
+        is_affordable = (
+            self._attempts < CONSTANTS.max_failed_attempts
+            and piece.length >= _MIN_PIECE * self._duration
+            and self._fits(n_runs, next_refinement, piece)
+        )
         requires_much_more = not is_smooth and self._requires_much_more(refinement)
         # Halves cost less than much finer steps in all of a piece.
-        is_much_finer = self._attempts > 0 and refinement > CONSTANTS.max_refinement_factor * present_refinement
+        is_much_finer = self._attempts > 0 and refinement > max_refinement
         if is_much_finer or (not is_smooth and (not is_affordable or requires_much_more)):
             if self._halve_if_long(piece):
                 self.rejected += 1
                 return True
             self._is_rough = self._is_rough or requires_much_more
-        if not is_affordable and not math.isfinite(errors[0]):
-            self._retry(2.0, "not finite", piece)
-            return True
         if not is_affordable:
+            if not math.isfinite(estimate.errors[0]):
+                self._retry(2.0, "not finite", piece)
+                return True
             self.exhausted = True
             return False
         if self._is_rough and piece.pieces_left > 1:
             # Only this piece needs finer steps.
             self._ends.append(self._elapsed + piece.length)
-        self.n_runs, self.refinement, self._piece = n_runs, next_refinement, None
+        self._choose(n_runs, next_refinement)
         self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
         return True
+
+    def _choose(self, n_runs: int, refinement: float) -> None:
+        """Choose runs and refinement of the next piece, for which the rest of the stretch is divided again."""
+        self.n_runs, self.refinement, self._piece = n_runs, refinement, None
+
+    def _choose_finer(self, estimate: ErrorEstimate, error: float) -> tuple[int, float, bool]:
+        """Return runs and refinement that bring an error [m] to its target; true if errors show a smooth motion."""
+        errors = estimate.errors
+        if errors[self.n_runs - 1] <= estimate.allowed:
+            # Only the ends of the piece exceed its budget.
+            return self.n_runs, self.refinement * root(error / estimate.target, 3), False
+        n_runs, refinement = estimate.choose_runs(self._applied_refinement, estimate.target)
+        if self._is_rough:
+            # Errors may be small by chance, so steps do not grow.
+            refinement = max(refinement, self.refinement)
+        # A single estimate does not show whether the motion is smooth; else combinations gain on one another.
+        return n_runs, refinement, len(errors) == 1 or CONSTANTS.estimate_trust_factor * min(errors) < errors[0]
+
+    def _repeat_in_double(self, piece: Piece) -> None:
+        """Reject a piece in single precision: repeat it in double, with the longest steps that further runs allow."""
+        refinement = self._refinement_in_double(piece)
+        if refinement < self.refinement:
+            self._choose(self.n_runs, refinement)
+            # The error of impulses would cost further runs.
+            self._stop_multirate()
+        self._precision.require_double()
+        self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
 
     def _refinement_in_double(self, piece: Piece) -> float:
         """Return the refinement with which a piece in single precision is repeated in double, with further runs.
@@ -651,17 +638,6 @@ class Controller:
         steps usually suffice; if they do not, one run more costs less than shorter steps of all runs.
         """
         return min(self.refinement, self._stability.min_refinement(len(self._estimate.errors) + 1, piece.length))
-
-    def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
-        """Return number of runs and refinement that meet a target [m] with the fewest evaluations, by its estimates."""
-        # The pieces of a stretch share the rounding error of one run, because it cancels over them.
-        choice = self._estimate.errors, refinement, target, piece.length, piece.steps
-        return self._error.choose_runs(*choice, rounding_fraction=piece.length / self._stretch)
-
-    def _may_gain(self, piece: Piece, target: float) -> bool:
-        """Return True if a run more than those of the estimates may meet a target [m] with fewer evaluations."""
-        n_runs, refinement = self._choose_runs(piece, self._applied_refinement, target)
-        return self._error.may_gain(len(self._estimate.errors) + 1, n_runs, refinement, piece.length)
 
     def _requires_much_more(self, refinement: float) -> bool:
         """Return True if a refinement is far above the present one, after a rejected attempt or in rough motion."""
@@ -739,7 +715,7 @@ class Controller:
             elif factor > 1.0:
                 self._error.memory.refinement = refinement
                 self._error.set_period(CONSTANTS.max_estimate_period, 2.0 * self._error.memory.estimate_period)
-            self.n_runs, self.refinement, self._piece = n_runs, refinement, None
+            self._choose(n_runs, refinement)
             self._attempts += 1
             return
         self.abandoned = self._has_fallback and (may_abandon or not has_failed)
@@ -756,7 +732,12 @@ class Controller:
     # Acceptance.
 
     def accept(
-        self, tableau: ExtrapolationTableau, piece: Piece, error: float, accumulator: WorkAccumulator | None
+        self,
+        tableau: ExtrapolationTableau,
+        piece: Piece,
+        error: float,
+        allowed: float,
+        accumulator: WorkAccumulator | None,
     ) -> float:
         """Move the state to the end of a piece, update bounds, totals, rules; return the time in the frame [s].
 
@@ -764,6 +745,7 @@ class Controller:
             tableau: runs of the piece.
             piece: the piece.
             error: error of the piece [m].
+            allowed: its error budget [m].
             accumulator: work accumulator; None for none.
 
         Returns:
@@ -781,7 +763,7 @@ class Controller:
         if self.estimates_error and (contents := self._prediction.contents) is not None:
             self._changes.limit_known(contents, self._estimate.errors[n_runs - 1], self._error.target(length))
         frame.add(tableau, piece, n_runs, self._prediction, error)
-        frame.has_missed = frame.has_missed or error > self._allowed
+        frame.has_missed = frame.has_missed or error > allowed
         frame.refined_time += length if self.refinement > 1.0 else 0.0
         differences = self._run_differences.accept(tableau, n_runs)
         if self.estimates_error:
@@ -804,14 +786,14 @@ class Controller:
         next frame starts with the longest steps so chosen; what is too coarse is rejected at little cost.
         """
         target = self._error.target(piece.length)
-        n_runs, refinement = self._choose_runs(piece, self.refinement, target)
+        n_runs, refinement = self._estimate.choose_runs(self.refinement, target)
         refinement = max(1.0, 0.5 * self.refinement, refinement)
         if piece.max_step / refinement > self._frame.longest_step:
             self._frame.longest_step, self._frame.longest_runs = piece.max_step / refinement, n_runs
         if not is_stretch_end:
             # The moment that needs short steps may have passed: then the rest of the stretch is divided again.
             if 2.0 * refinement <= self.refinement and self._estimate.error(self.n_runs) <= target:
-                self.n_runs, self.refinement, self._piece = n_runs, refinement, None
+                self._choose(n_runs, refinement)
         elif self._ends and self._ends[-1] - self._elapsed > 1.5 * self._stretch:
             self.n_runs, self.refinement = n_runs, min(refinement, self.refinement)
 
@@ -881,10 +863,3 @@ class Controller:
         return Advance(
             frame.steps, evaluations, step, self.limit, self.rejected, name, limited_by, error, flagged, reason
         )
-
-
-def _measure_displacement(plan: Plan, work: WorkBudget, t: float, x: Array, errors: Array) -> float:
-    """Return the displacement [m] that velocity errors [m/s] cause later, and count its work."""
-    displacement, evaluations = plan.velocity_displacement(t, x, errors, VELOCITY_ERROR_TIME)
-    work.add(evaluations)
-    return displacement

@@ -21,6 +21,7 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import power, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.frame_totals import FrameTotals
 from cloth_sim_ros.physics.control.stability import StabilityRule
+from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
     RATIOS,
@@ -29,6 +30,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     rounding_amplification,
 )
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import SECOND_DIFFERENCES_KEY, ErrorState
 from cloth_sim_ros.physics.state.state import State
 
@@ -62,7 +64,7 @@ class ErrorRule:
         stability: StabilityRule,
         measure_displacement: Callable[[Array], float],
     ) -> None:
-        self.memory, self.budget, self._max_runs, self._stability = memory, budget, max_runs, stability
+        self.memory, self.budget, self.max_runs, self._stability = memory, budget, max_runs, stability
         self._measure_displacement = measure_displacement
         self._x, self._v = state.x, state.v
         #: Second differences of `RunDifferences` [m, m/s] in the last frame with an estimate, (2, n); None if unknown.
@@ -241,7 +243,7 @@ class ErrorRule:
             present_runs: number of runs that needs no estimate in the next frame; 0 for none.
         """
         best = (1, refinement, math.inf)
-        for n_runs, error in enumerate(errors[: self._max_runs], start=1):
+        for n_runs, error in enumerate(errors[: self.max_runs], start=1):
             floor = rounding_fraction * self.rounding_floor(n_runs, steps, target / rounding_fraction)
             # Earlier pieces may have left no budget.
             scale = root(error / max(target, sys.float_info.min), n_runs + 1)
@@ -391,6 +393,13 @@ class ErrorRule:
         memory = self.memory
         time_left = memory.time_until_estimate - memory.duration
         memory.time_until_estimate = time_left if time_left > 1e-6 * memory.duration else 0.0
+
+
+def displacement_by_velocities(plan: Plan, work: WorkBudget, t: float, x: Array, errors: Array) -> float:
+    """Return the displacement [m] that errors of velocities [m/s] cause later, and count its work."""
+    displacement, evaluations = plan.velocity_displacement(t, x, errors, VELOCITY_ERROR_TIME)
+    work.add(evaluations)
+    return displacement
 
 
 def displacement_by_jerk(jerk_change: float, steps: int) -> float:

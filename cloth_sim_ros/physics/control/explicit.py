@@ -115,6 +115,7 @@ def integrate(
         if piece is None:
             return False
         tableau = controller.tableau(t + elapsed, piece, tableau, accumulator)
+        controller.run(tableau)
         if not controller.is_stable(tableau, piece):  # rule 1: stability, contact on the way included
             controller.reject_unstable(tableau, piece)
             continue
@@ -139,5 +140,5 @@ def integrate(
             controller.reject_energy(piece)
             continue
         # Times of short pieces may round to the same number, so the next piece must not reuse these runs.
-        elapsed, tableau = controller.accept(tableau, piece, error, accumulator), None
+        elapsed, tableau = controller.accept(tableau, piece, error, allowed, accumulator), None
     return True
