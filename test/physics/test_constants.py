@@ -42,10 +42,10 @@ REASONS = {
         1e-6: "two lengths of frames that differ by rounding",
         1.5: "between the length of a stretch and its double",
         3.0: "order of a missed jump's error",
-        24.0: "halvings down to a nanosecond",
         64.0: "a cap divided by 2^64 is none",
     },
     "error_estimate.py": {9.0: "evaluations of a displacement: the first one and eight Lanczos steps"},
+    "frame_division.py": {24.0: "halvings down to a nanosecond"},
     "work_budget.py": {
         1e-9: "nanoseconds",
         4e3: "four calls, in nanoseconds by microseconds",

@@ -18,8 +18,10 @@ from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.force_jump import missed_velocity_change
+from cloth_sim_ros.physics.control.frame_division import FrameDivision
 from cloth_sim_ros.physics.control.frame_totals import FrameTotals, Piece
 from cloth_sim_ros.physics.control.stability import StabilityRule
+from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import coefficient_of
 from cloth_sim_ros.physics.model.forces.force import Array, Force
@@ -263,8 +265,8 @@ def test_nanosecond_piece_gets_no_finer_steps() -> None:
     controller._estimate = ErrorEstimate(
         tableau, piece, controller._error, controller.work, chosen_runs=1, allowed=1e-9, errors=[1.0]
     )
-    assert controller.reject_inaccurate(piece, 1e-9)
-    assert not controller.reject_inaccurate(piece._replace(length=1e-10), 1e-9)
+    assert controller.reject_inaccurate(piece)
+    assert not controller.reject_inaccurate(piece._replace(length=1e-10))
 
 
 def test_piece_rejected_for_its_energy_leaves_no_energy_behind() -> None:
@@ -298,6 +300,27 @@ def test_an_estimate_measures_one_displacement(monkeypatch: pytest.MonkeyPatch) 
             calls.append(len(measured))
     assert len(calls) > 5
     assert sorted(calls)[len(calls) // 2] == 1
+
+
+def test_divided_frame_ends_exactly() -> None:
+    duration, state = 1.0 / 3.0, State([[0.0, 0.0, 0.0]])
+    plan = compile(Model([1.0], []))
+    stability, work = StabilityRule(plan, StabilityState.load(state), state.x), WorkBudget(plan, 0.0, duration, 1.0)
+    division = FrameDivision(plan, state, 0.0, duration, stability, work, has_tolerance=True)
+    division.restart(is_rough=False)
+    pieces = [Piece(duration / 7.0, 10, 1, duration, pieces_left) for pieces_left in (7, 6)]
+    division.accept(pieces[0])
+    # The second piece alone is halved, then halved again.
+    division.isolate(pieces[1])
+    division.halve(pieces[1].length)
+    assert division.rest_of_stretch == pytest.approx(0.5 * duration / 7.0)
+    division.halve(division.rest_of_stretch)
+    for factor in (0.25, 0.25, 0.5, 5.0):
+        length = division.rest_of_stretch
+        assert length == pytest.approx(factor * duration / 7.0)
+        division.accept(Piece(length, 10, 1, duration, 1))
+    assert division.elapsed == duration
+    assert division.rest_of_stretch == 0.0
 
 
 def _estimate(

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Controller of one advance: length of each piece, number of runs, steps.
+"""Controller of one advance: accepts and rejects pieces, chooses number of runs and refinement of steps.
 
 The loop `explicit.integrate` asks in this order:
 
@@ -14,8 +14,7 @@ The loop `explicit.integrate` asks in this order:
 - `accept` moves the state to the end of the piece. Only then rules learn from it; a rejected piece changes nothing.
 - `store` writes into the state what the next advance needs.
 
-docs/step_control.md has the rules. A stretch is a part of the frame that is divided into equal pieces. It is the whole
-frame, or what halving in a rough motion has left.
+docs/step_control.md has the rules.
 """
 
 from __future__ import annotations
@@ -27,11 +26,12 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.changes import ChangeRule
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
+from cloth_sim_ros.physics.control.description import ExplicitSettings, describe, describe_miss
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule, displacement_by_velocities
 from cloth_sim_ros.physics.control.error_estimate import ErrorEstimate
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
+from cloth_sim_ros.physics.control.frame_division import FrameDivision
 from cloth_sim_ros.physics.control.frame_totals import ErrorPrediction, FrameTotals, Piece
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
@@ -45,8 +45,6 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     ExtrapolationTableau,
     step_counts,
 )
-from cloth_sim_ros.physics.integrators.limit import steps_for
-from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
@@ -60,14 +58,12 @@ from cloth_sim_ros.physics.state.state import State
 
 #: Minimum steps of a piece for halving; with fewer steps the runs of a half would not differ enough.
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
-#: Shortest piece, relative to the frame; in a frame of 60 Hz it is a nanosecond.
-_MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_applied_refinement _attempts _before _changes _duration _elapsed _ends _error _estimate "
-    "_fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_turn "
-    "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _rejected_attempt "
-    "_run_differences _stability _start_bounds _start_hinge_bounds _start_v _state _stretch _t0 abandoned budget "
+    "_applied_refinement _attempts _before _changes _division _duration _error _estimate "
+    "_fallback_count _frame _halved_step _has_tolerance _last_refinement _may_turn "
+    "_met_limit _multirate _piece _plan _precision _prediction _ratio _rejected_attempt "
+    "_run_differences _stability _start_bounds _start_hinge_bounds _start_v _state abandoned budget "
     "estimates_error exhausted in_fallback limit n_runs options refinement rejected work __dict__"
 )
 
@@ -94,7 +90,7 @@ class Controller:
     __slots__ = _ATTRIBUTES.split()
 
     def __init__(self, options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float) -> None:
-        self.options, self._plan, self._state, self._t0, self._duration = options, plan, state, t, duration
+        self.options, self._plan, self._state, self._duration = options, plan, state, duration
         self._has_tolerance = has_tolerance = options.tolerance is not None
         #: Rejected attempts.
         self.rejected = 0
@@ -155,21 +151,15 @@ class Controller:
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
         self._start_bounds, self._start_v = (memory.omega2, memory.damping), state.v
         self._run_differences = RunDifferences(state)
+        self._division = FrameDivision(
+            plan, state, t, duration, self._stability, self.work, has_tolerance=has_tolerance
+        )
         self._begin()
 
     @cached_property
     def _energy(self) -> EnergyRule:
         """Energy rule, created at first access, because most frames do not need it."""
         return EnergyRule(self._plan, EnergyState.load(self._state), self._last_refinement)
-
-    @cached_property
-    def _has_external_work(self) -> bool:
-        """True if Python forces, moving air or moving obstacles may do work on the cloth in this advance; cached."""
-        plan, state = self._plan, self._state
-        if plan.contact is not None and not plan.contact.force.steady():
-            return True
-        has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
-        return has_python_forces or plan.external_power(self._t0, state.x, state.v, state.memory) != 0.0
 
     @property
     def _has_fallback(self) -> bool:
@@ -212,11 +202,9 @@ class Controller:
         #: Velocities [m/s] at the start of the interval before, and its length [s].
         previous = self._state.memory.get(controller_state.PREVIOUS_VELOCITIES_KEY)
         self._before = None if previous is None else (previous, self._duration)
-        #: Ends of the frame and of the stretches that were halved, since the start of the frame [s]. Time since then.
-        self._ends, self._elapsed = [self._duration], 0.0
-        #: True if the motion is rough. The present piece, the step limit that its runs met [s], the step to keep for
-        #: its halves [s], and its rejected attempts.
-        self._is_rough = self._may_turn
+        self._division.restart(is_rough=self._may_turn)
+        #: The present piece, the step limit that its runs met [s], the step to keep for its halves [s], and its
+        #: rejected attempts.
         self._piece: Piece | None = None
         self._met_limit, self._halved_step, self._attempts = math.inf, 0.0, 0
         #: Used work, runs, refinement and piece of the last rejected attempt; None before the first.
@@ -234,7 +222,11 @@ class Controller:
             is_missed: True if the predicted error of a piece exceeds its budget.
         """
         is_predicted = self._frame.n_pieces > 0 and not self._frame.has_estimates
-        return (is_missed and is_predicted) or (self._may_turn and not self._is_rough) or self._changes.is_unexpected
+        return (
+            (is_missed and is_predicted)
+            or (self._may_turn and not self._division.is_rough)
+            or self._changes.is_unexpected
+        )
 
     # Pieces.
 
@@ -249,58 +241,33 @@ class Controller:
 
     def _divide(self, t: float) -> Piece:
         """Divide the next stretch into equal pieces; return the first, with steps that are stable and affordable."""
-        options = self.options
+        options, division = self.options, self._division
         while True:
-            stretch = self._stretch = self._ends[-1] - self._elapsed
+            stretch = division.stretch = division.rest_of_stretch
             is_whole = stretch == self._duration
             limit = self.limit if is_whole else self._stability.predicted_limit(t, stretch, self._state)
             limit = min(self._met_limit, limit)
             max_step = min(CONSTANTS.stability_safety * limit, stretch)
             should_halve = self._has_tolerance and self._stability.should_halve(max_step, stretch)
-            if not (should_halve and self._halve(stretch, is_rough=self._is_rough)):
+            if not (should_halve and self._halve(stretch, is_rough=division.is_rough)):
                 break
         if options.step is not None and options.step <= limit:
             max_step = options.step
         if self._halved_step:
             self.refinement, self._halved_step = max(1.0, max_step / self._halved_step), 0.0
-        ratio, self._multirate_refinement = 1, 1.0
+        ratio, division.multirate_refinement = 1, 1.0
         if self._ratio > 1:
-            ratio, self._multirate_refinement = self._multirate.ratio_within(max_step, stretch)
+            ratio, division.multirate_refinement = self._multirate.ratio_within(max_step, stretch)
         self.work.set_weight(ratio, self._stability.contact_time)
-        steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
-        reserved = self.work.rest_of(self._duration - self._ends[-1], len(self._ends))
-        if not self.work.fits(self.work.work_of(self.n_runs, steps, n_pieces) + reserved):
-            self._fit_to_budget(stretch, max_step, reserved)
-            steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
+        steps, n_pieces = division.count_steps(self.n_runs, self.refinement, stretch, max_step)
+        fits = self.work.fits(self.work.work_of(self.n_runs, steps, n_pieces) + division.rest_work())
+        if self._has_tolerance and not fits:
+            self._fit_to_budget(max_step)
+            steps, n_pieces = division.count_steps(self.n_runs, self.refinement, stretch, max_step)
         if self.estimates_error:
-            self._require_estimates(stretch, max_step)
+            self._record_refinement(stretch, max_step)
         steps = max(1, math.ceil(steps / n_pieces / ratio)) * ratio
         return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
-
-    def _count_steps(self, n_runs: int, refinement: float, length: float, max_step: float) -> tuple[int, int]:
-        """Return the number of steps of the first run over a length [s], and of the pieces to divide it into."""
-        if self._has_tolerance:
-            refinement = max(refinement, self._required_refinement(n_runs, length, max_step))
-        steps = max(steps_for(length, max_step / refinement), MAX_UNDAMPED_STEPS if self._is_rough else 1)
-        is_whole = n_runs == 1 and not self._has_tolerance
-        n_pieces = 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
-        return max(steps, self._count_fewest_steps(n_runs) * n_pieces), n_pieces
-
-    def _count_fewest_steps(self, n_runs: int) -> int:
-        """Return the least number of steps of a piece's first run: 2 for a single run with a tolerance, else 1.
-
-        The activity of a single run needs two halves.
-        """
-        return 2 if n_runs == 1 and self._has_tolerance else 1
-
-    def _required_refinement(self, n_runs: int, length: float, max_step: float) -> float:
-        """Return the refinement of steps [s] that stability, the multirate ratio and the longest pieces [s] require.
-
-        A lower one does not change the number of steps, thus not their error.
-        """
-        steps = self._count_fewest_steps(n_runs) * steps_for(length, CONSTANTS.max_interval)
-        stable_refinement = self._stability.min_refinement(n_runs, length)
-        return max(self._multirate_refinement, stable_refinement, steps * max_step / length)
 
     def _choose_ratio(self, max_step: float) -> int:
         """Set and return the multirate ratio of this advance; a changed ratio sets an error estimate due."""
@@ -312,79 +279,56 @@ class Controller:
         self.estimates_error = self.estimates_error or (self._has_tolerance and rule.ratio != recorded_ratio)
         return rule.ratio
 
+    def _choose(self, n_runs: int, refinement: float) -> None:
+        """Choose runs and refinement of the next piece, for which the rest of the stretch is divided again."""
+        self.n_runs, self.refinement, self._piece = n_runs, refinement, None
+
     def _stop_multirate(self) -> None:
         """Evaluate hinges in each step from the next division on, until the frame ends."""
         if self._ratio > 1:
             self._multirate.ratio = self._ratio = 1
 
-    def _require_estimates(self, length: float, max_step: float) -> None:
-        """Estimate the errors of all pieces; record the refinement that their steps [s] have over a length [s]."""
-        self.estimates_error = True
-        required_refinement = self._required_refinement(self.n_runs, length, max_step)
+    def _record_refinement(self, length: float, max_step: float) -> None:
+        """Record the refinement of estimated runs over a length [s], relative to the longest stable step [s]."""
+        required_refinement = self._division.required_refinement(self.n_runs, length, max_step)
         self._applied_refinement = max(self.refinement, required_refinement)
 
     def _halve(self, length: float, *, is_rough: bool = True) -> bool:
         """Halve the next piece, of a length [s], as rough motion or not; return False if it would be too short."""
-        if length < 2.0 * _MIN_PIECE * self._duration:
+        division = self._division
+        if not division.is_long_enough(0.5 * length):
             return False
-        if self._piece is not None and self._piece.pieces_left > 1:
-            self._ends.append(self._elapsed + length)
-        self._ends.append(self._elapsed + 0.5 * length)
-        self._is_rough, self.estimates_error = is_rough, self.estimates_error or is_rough
+        if self._piece is not None:
+            division.isolate(self._piece)
+        division.halve(length)
+        division.is_rough, self.estimates_error = is_rough, self.estimates_error or is_rough
         self._piece, self._met_limit, self._attempts = None, math.inf, 0
         return True
 
-    def _rest_work(self, piece: Piece) -> float:
-        """Return the estimated work of the rest of the frame after a piece, in force evaluations."""
-        return self.work.rest_of(self._duration - (self._elapsed + piece.length), len(self._ends))
+    def _fit_to_budget(self, max_step: float) -> None:
+        """Reduce `n_runs` and `refinement` to the work budget of the stretch; set `exhausted` or `abandoned`.
 
-    def _attempt_work(self, n_runs: int, refinement: float, length: float, max_step: float) -> float:
-        """Return the estimated work of an attempt over a length [s] with an error estimate, in force evaluations."""
-        steps, n_pieces = self._count_steps(n_runs, refinement, length, max_step)
-        # Where air or obstacles do work, the energy check of a piece that misses its budget repeats its runs.
-        check = self.work.weight * steps * RATIO_SUMS[n_runs] if self._has_external_work else 0.0
-        return self.work.work_of(n_runs, steps, n_pieces) + check
-
-    def _fit_to_budget(self, stretch: float, max_step: float, reserved: float) -> None:
-        """Reduce `n_runs` and `refinement` to the work budget of a stretch [s]; set `exhausted` or `abandoned`.
-
-        Explicit steps are abandoned if the longest stable ones exceed it by more than the cost of implicit steps that
-        finish the frame.
+        Explicit steps are abandoned if the longest stable ones [s] exceed it by more than the cost of implicit steps
+        that finish the frame.
         """
-        if not self._has_tolerance:
-            return  # the order is fixed, and there is no error estimate
-
-        def work_of(n_runs: int, refinement: float) -> float:
-            return reserved + self._attempt_work(n_runs, refinement, stretch, max_step)
-
-        self.estimates_error = True
-        while self.n_runs > 1 and not self.work.fits(work_of(self.n_runs, 1.0)):
-            self.n_runs -= 1
-        remaining = self.work.cap - self.work.used - reserved
-        refinement = self.refinement * remaining / self._attempt_work(self.n_runs, self.refinement, stretch, max_step)
-        if not (self._attempts or self._is_rough):
-            # A second attempt must fit too.
-            refinement /= CONSTANTS.max_refinement_factor
-        self.refinement = max(1.0, min(self.refinement, refinement))
-        # Rounding up steps and pieces may exceed the remaining work.
-        while self.refinement > 1.0 and not self.work.fits(work_of(self.n_runs, self.refinement)):
-            self.refinement = max(1.0, 0.5 * self.refinement)
-        self.exhausted = self.exhausted or not self.work.fits(work_of(self.n_runs, self.refinement))
+        self.estimates_error, allows_second = True, not (self._attempts or self._division.is_rough)
+        choice = self._division.reduce_to_budget(self.n_runs, self.refinement, max_step, allows_second=allows_second)
+        self.n_runs, self.refinement, work = choice
+        self.exhausted = self.exhausted or not self.work.fits(work)
         fallback_work = FALLBACK_EVALUATIONS + CONSTANTS.implicit_finish_steps * self.work.call_work
-        is_too_much = not self.work.fits(work_of(self.n_runs, self.refinement) - fallback_work)
-        self.abandoned = is_too_much and self._has_fallback
+        self.abandoned = not self.work.fits(work - fallback_work) and self._has_fallback
 
     def tableau(
         self, t: float, piece: Piece, previous: ExtrapolationTableau | None, accumulator: WorkAccumulator | None
     ) -> ExtrapolationTableau:
         """Return a tableau of runs of a piece from time t [s], or the previous attempt's if steps are equal."""
         # Where runs begin a step together, all miss a kink alike.
-        is_coprime = self._is_rough or self._changes.may_touch or self._plan.has_kinks
+        is_coprime = self._division.is_rough or self._changes.may_touch or self._plan.has_kinks
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=is_coprime)
         single_precision = is_estimated = False
         if self._has_tolerance:
             is_estimated = self.estimates_error or not self._error.is_predictable(counts[: self.n_runs], piece.length)
-            single_precision = not self._is_rough and self._precision.allows_single_precision(
+            single_precision = not self._division.is_rough and self._precision.allows_single_precision(
                 self._state, self.n_runs, estimates_error=self.estimates_error
             )
         if (
@@ -416,7 +360,7 @@ class Controller:
         """Return True if an error estimate probably needs a further run, which is then calculated in the same call."""
         if sum(counts) <= self._plan.evaluations_per_call:
             return self.refinement > 1.0
-        is_repeated = self._attempts > 0 or self._is_rough
+        is_repeated = self._attempts > 0 or self._division.is_rough
         return self.n_runs == 2 and is_repeated and self._plan.threads_per_run(ratio) == 1
 
     def run(self, tableau: ExtrapolationTableau) -> None:
@@ -460,9 +404,7 @@ class Controller:
 
         After a piece that missed its budget it is at least the piece's share of the frame's budget.
         """
-        is_stretch_end = piece.pieces_left == 1
-        elapsed = self._ends[-1] if is_stretch_end else self._elapsed + piece.length
-        allowed = self.budget * (elapsed / self._duration) - self._frame.error
+        allowed = self.budget * (self._division.end_of(piece) / self._duration) - self._frame.error
         if self._frame.has_missed:
             allowed = max(allowed, self.budget * (piece.length / self._duration))
         return allowed
@@ -513,8 +455,8 @@ class Controller:
         Returns:
             The error; infinite if single precision does not resolve that of further runs, which may suffice.
         """
-        changes, n_confirming, is_touch = self._changes, 0, False
-        if not (self._is_rough or self.in_fallback):
+        changes, division, n_confirming, is_touch = self._changes, self._division, 0, False
+        if not (division.is_rough or self.in_fallback):
             if self.n_runs == 1:
                 n_confirming = self._stability.count_confirming_runs(piece.steps, piece.length)
             # New contact may begin and end within the piece, so that no later estimate contains it.
@@ -522,26 +464,27 @@ class Controller:
         estimate = self._estimate = ErrorEstimate(
             tableau,
             piece,
-            self._error,
-            self.work,
-            self.n_runs,
-            allowed,
-            rounding_fraction=piece.length / self._stretch,
-            is_rough=self._is_rough,
+            rule=self._error,
+            work=self.work,
+            chosen_runs=self.n_runs,
+            allowed=allowed,
+            rounding_fraction=piece.length / division.stretch,
+            is_rough=division.is_rough,
             jumps=changes.may_jump,
             may_coincide=n_confirming > 0 or is_touch,
         )
         if not self.estimates_error:
-            self._require_estimates(piece.length, piece.max_step)
+            self.estimates_error = True
+            self._record_refinement(piece.length, piece.max_step)
         estimate.begin(max(self._count_estimates(piece.steps), 1 + n_confirming))
         if (estimate.errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
-            is_resolved = estimate.extend(self._applied_refinement, self._rest_work(piece), self._precision)
+            is_resolved = estimate.extend(self._applied_refinement, division.rest_work(piece), self._precision)
             if not is_resolved:
-                estimate.needs_double = self._fits(self.n_runs, self._refinement_in_double(piece), piece)
+                estimate.needs_double = division.fits(self.n_runs, self._refinement_in_double(piece), piece)
         estimate.confirm()
         if not self.in_fallback:
             self.n_runs = estimate.sufficient_runs(is_touch=is_touch)
-        if self._is_rough or changes.may_jump or changes.may_kink:
+        if division.is_rough or changes.may_jump or changes.may_kink:
             estimate.add_end_error(self._plan, self._state, self.n_runs)
         estimate.end_error += changes.kink_error
         return math.inf if estimate.needs_double else estimate.error(self.n_runs)
@@ -559,14 +502,9 @@ class Controller:
         is_confirmed = self.n_runs == 1 and not is_ordered and not self.in_fallback
         return min(self.n_runs + is_confirmed, self.options.n_runs)
 
-    def reject_inaccurate(self, piece: Piece, allowed: float) -> bool:
-        """Reject an inaccurate piece: choose more runs, finer steps or halves; False if it must be accepted.
-
-        Args:
-            piece: the piece.
-            allowed: its error budget [m].
-        """
-        estimate = self._estimate
+    def reject_inaccurate(self, piece: Piece) -> bool:
+        """Reject an estimated piece: choose more runs, finer steps or halves; False if it must be accepted."""
+        estimate, division = self._estimate, self._division
         if estimate.needs_double:
             self._repeat_in_double(piece)
             return True
@@ -575,13 +513,13 @@ class Controller:
             return False  # no step reduces the error below rounding
         n_runs, refinement, is_smooth = self._choose_finer(estimate, error)
         self._precision.n_misses += 1
-        present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length, piece.max_step))
-        max_refinement = CONSTANTS.max_refinement_factor * present_refinement
+        required_refinement = division.required_refinement(n_runs, piece.length, piece.max_step)
+        max_refinement = CONSTANTS.max_refinement_factor * max(self.refinement, required_refinement)
         next_refinement = min(refinement, max_refinement)
         is_affordable = (
             self._attempts < CONSTANTS.max_failed_attempts
-            and piece.length >= _MIN_PIECE * self._duration
-            and self._fits(n_runs, next_refinement, piece)
+            and division.is_long_enough(piece.length)
+            and division.fits(n_runs, next_refinement, piece)
         )
         requires_much_more = not is_smooth and self._requires_much_more(refinement)
         # Halves cost less than much finer steps in all of a piece.
@@ -590,23 +528,19 @@ class Controller:
             if self._halve_if_long(piece):
                 self.rejected += 1
                 return True
-            self._is_rough = self._is_rough or requires_much_more
+            division.is_rough = division.is_rough or requires_much_more
         if not is_affordable:
             if not math.isfinite(estimate.errors[0]):
                 self._retry(2.0, "not finite", piece)
                 return True
             self.exhausted = True
             return False
-        if self._is_rough and piece.pieces_left > 1:
+        if division.is_rough:
             # Only this piece needs finer steps.
-            self._ends.append(self._elapsed + piece.length)
+            division.isolate(piece)
         self._choose(n_runs, next_refinement)
         self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
         return True
-
-    def _choose(self, n_runs: int, refinement: float) -> None:
-        """Choose runs and refinement of the next piece, for which the rest of the stretch is divided again."""
-        self.n_runs, self.refinement, self._piece = n_runs, refinement, None
 
     def _choose_finer(self, estimate: ErrorEstimate, error: float) -> tuple[int, float, bool]:
         """Return runs and refinement that bring an error [m] to its target; true if errors show a smooth motion."""
@@ -615,7 +549,7 @@ class Controller:
             # Only the ends of the piece exceed its budget.
             return self.n_runs, self.refinement * root(error / estimate.target, 3), False
         n_runs, refinement = estimate.choose_runs(self._applied_refinement, estimate.target)
-        if self._is_rough:
+        if self._division.is_rough:
             # Errors may be small by chance, so steps do not grow.
             refinement = max(refinement, self.refinement)
         # A single estimate does not show whether the motion is smooth; else combinations gain on one another.
@@ -641,7 +575,7 @@ class Controller:
 
     def _requires_much_more(self, refinement: float) -> bool:
         """Return True if a refinement is far above the present one, after a rejected attempt or in rough motion."""
-        is_repeated = self._is_rough or self._attempts > 0
+        is_repeated = self._division.is_rough or self._attempts > 0
         return is_repeated and refinement > CONSTANTS.estimate_trust_factor * self.refinement
 
     def _halve_if_long(self, piece: Piece) -> bool:
@@ -652,16 +586,11 @@ class Controller:
         """
         if self._plan.plastic is not None and self._plan.contact is None:
             return False
-        fits = piece.steps >= _MIN_HALVED_STEPS and self._fits(self.n_runs, self.refinement, piece)
+        fits = piece.steps >= _MIN_HALVED_STEPS and self._division.fits(self.n_runs, self.refinement, piece)
         if not (fits and self._halve(piece.length)):
             return False
         self._halved_step = piece.max_step / self.refinement
         return True
-
-    def _fits(self, n_runs: int, refinement: float, piece: Piece) -> bool:
-        """Return True if a further attempt of a piece fits the remaining work of the frame."""
-        work = self._attempt_work(n_runs, refinement, piece.length, piece.max_step)
-        return self.work.fits(work + self._rest_work(piece))
 
     # Rule 3: energy.
 
@@ -670,7 +599,7 @@ class Controller:
         n_runs, has_contact = self.n_runs, self._stability.has_contact(tableau, self.n_runs)
         omega2 = self._stability.memory.omega2, math.inf if has_contact else tableau.summary(n_runs).omega2
         choice = tableau, self._state, n_runs, omega2, self.refinement
-        is_allowed, evaluations = self._energy.check(*choice, steps_differ=n_runs > 1 or self._is_rough)
+        is_allowed, evaluations = self._energy.check(*choice, steps_differ=n_runs > 1 or self._division.is_rough)
         self.work.add(evaluations, self.work.weight)
         return is_allowed
 
@@ -703,12 +632,12 @@ class Controller:
             return
         # With contact, fewer runs are cheaper and more accurate than implicit steps.
         n_runs = self.n_runs
-        while self._changes.may_touch and n_runs > 1 and not self._fits(n_runs, refinement, piece):
+        while self._changes.may_touch and n_runs > 1 and not self._division.fits(n_runs, refinement, piece):
             n_runs -= 1
         # The work limit may shorten a finer attempt to the rejected one, whose runs are known.
         attempt = self.work.used, self.n_runs, self.refinement, piece
         is_repeated, self._rejected_attempt = attempt == self._rejected_attempt, attempt
-        if not has_failed and not is_repeated and self._fits(n_runs, refinement, piece):
+        if not has_failed and not is_repeated and self._division.fits(n_runs, refinement, piece):
             if self._has_tolerance:
                 # The recorded error is valid for the same runs and multirate ratio.
                 self.estimates_error = self.estimates_error or n_runs < self.n_runs or piece.ratio != self._ratio
@@ -755,8 +684,6 @@ class Controller:
         summary, length = tableau.summary(n_runs), piece.length
         if accumulator is not None:
             tableau.accumulate(n_runs, accumulator)
-        is_stretch_end = piece.pieces_left == 1
-        elapsed = self._ends.pop() if is_stretch_end else self._elapsed + length
         memory.omega2, memory.damping = summary.omega2, summary.damping
         if piece.ratio > 1:
             self._multirate.bounds = summary.hinge_bounds
@@ -773,13 +700,14 @@ class Controller:
         if self._has_tolerance:
             # Without a tolerance steps do not grow again, so attempts count over the frame.
             self._attempts = 0
-        self._met_limit, self._elapsed = math.inf, elapsed
-        self._piece = None if is_stretch_end else piece._replace(pieces_left=piece.pieces_left - 1)
-        if self._is_rough:
-            self._choose_next(piece, is_stretch_end=is_stretch_end)
-        return elapsed
+        division, self._met_limit = self._division, math.inf
+        division.accept(piece)
+        self._piece = piece._replace(pieces_left=piece.pieces_left - 1) if piece.pieces_left > 1 else None
+        if division.is_rough:
+            self._choose_next(piece)
+        return division.elapsed
 
-    def _choose_next(self, piece: Piece, *, is_stretch_end: bool) -> None:
+    def _choose_next(self, piece: Piece) -> None:
         """Choose runs and refinement for what follows a piece of rough motion; steps grow by two at most.
 
         They are for the next stretch if it is longer, because the moment that needs short steps has then passed. The
@@ -790,17 +718,17 @@ class Controller:
         refinement = max(1.0, 0.5 * self.refinement, refinement)
         if piece.max_step / refinement > self._frame.longest_step:
             self._frame.longest_step, self._frame.longest_runs = piece.max_step / refinement, n_runs
-        if not is_stretch_end:
+        if piece.pieces_left > 1:
             # The moment that needs short steps may have passed: then the rest of the stretch is divided again.
             if 2.0 * refinement <= self.refinement and self._estimate.error(self.n_runs) <= target:
                 self._choose(n_runs, refinement)
-        elif self._ends and self._ends[-1] - self._elapsed > 1.5 * self._stretch:
+        elif self._division.rest_of_stretch > 1.5 * self._division.stretch:
             self.n_runs, self.refinement = n_runs, min(refinement, self.refinement)
 
     def store(self) -> None:
         """Store the rules' numbers, with runs and steps of the next advance, in the state's memory."""
         state, error, frame = self._state, self._error, self._frame
-        if self._is_rough:
+        if self._division.is_rough:
             max_step = min(CONSTANTS.stability_safety * self.limit, self._duration)
             error.restart(frame.longest_runs, max(1.0, max_step / frame.longest_step))
         elif frame.has_estimates and frame.is_uniform:
@@ -815,7 +743,7 @@ class Controller:
             state.memory[controller_state.PREVIOUS_VELOCITIES_KEY] = self._start_v
         self._stability.memory.store(state)
         error.store(state)
-        self._run_differences.store(state, is_known=error.memory.n_runs == self.n_runs and not self._is_rough)
+        self._run_differences.store(state, is_known=error.memory.n_runs == self.n_runs and not self._division.is_rough)
         if self.estimates_error or not self._has_tolerance:
             self._energy.memory.store(state)
             self._precision.store(state)
@@ -846,17 +774,13 @@ class Controller:
             self.n_runs,
             step,
             frame.max_ratio,
-            has_fewest_steps=step >= self._duration / self._count_fewest_steps(self.n_runs) and has_long_limit,
+            has_fewest_steps=has_long_limit and step >= self._duration / self._division.min_steps(self.n_runs),
             is_refined=frame.refined_time > 0.5 * self._duration,
             single_precision=frame.single_precision,
-            n_pieces=frame.n_pieces if self._is_rough else 1,
+            n_pieces=frame.n_pieces if self._division.is_rough else 1,
         )
-        if flagged and self.exhausted and options.work:
-            reason += f"; the tolerance was missed within the frame's work limit of {options.work:g}"
-        elif flagged and self.exhausted:
-            reason += "; finer steps did not reduce the error"
-        elif flagged:
-            reason += "; the tolerance is finer than rounding of the coordinates allows"
+        if flagged:
+            reason += f"; {describe_miss(options.work, is_exhausted=self.exhausted)}"
         limited_by = "work" if self.exhausted else limit
         error = frame.error if self._has_tolerance else None
         evaluations, name = self.work.evaluations, options.name

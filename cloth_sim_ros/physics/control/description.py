@@ -76,3 +76,12 @@ def _step_text(tolerance: float | None, fixed_step: float | None, limit: str, st
         return f"step {text} set by the tolerance {tolerance:g} m"
     step_clause = "fewest steps of a frame" if limit == "frame" else f"step {text} set by stability"
     return f"{step_clause}; it holds the tolerance {tolerance:g} m"
+
+
+def describe_miss(work: float, *, is_exhausted: bool) -> str:
+    """Return a text on why an advance missed its tolerance, with its work limit or 0 for none."""
+    if not is_exhausted:
+        return "the tolerance is finer than rounding of the coordinates allows"
+    if work:
+        return f"the tolerance was missed within the frame's work limit of {work:g}"
+    return "finer steps did not reduce the error"

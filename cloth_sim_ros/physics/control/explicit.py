@@ -133,7 +133,7 @@ def integrate(
             if controller.n_runs != n_runs and not controller.is_stable(tableau, piece):
                 controller.reject_unstable(tableau, piece)
                 continue
-            if error > allowed and controller.reject_inaccurate(piece, allowed):
+            if error > allowed and controller.reject_inaccurate(piece):
                 continue
         fits = error <= allowed and controller.options.tolerance is not None
         if not (fits or controller.check_energy(tableau)):  # rule 3: energy

@@ -60,20 +60,20 @@ class StabilityRule:
             memory.omega2, memory.damping = plan.spectral_bounds(x)
 
     @cached_property
-    def _damps_waves(self) -> bool:
-        # Grips and contact act locally, and air damps weakly.
-        return any(force.damped and force.damps_waves for force in self._plan.model.forces)
+    def _damping_time(self) -> float:
+        """Damping rate of all waves over their squared frequency [s], at least; 0 if no force damps waves.
 
-    @cached_property
-    def _min_damping_time(self) -> float:
-        # A frame asks several times, and grips change only between frames.
-        return self._plan.min_damping_time(_SOFT_GRIP_FRACTION * self.memory.omega2)
+        A frame asks several times, and grips change only between frames.
+        """
+        # Grips and contact act locally, and air damps weakly.
+        damps_waves = any(force.damped and force.damps_waves for force in self._plan.model.forces)
+        return self._plan.min_damping_time(_SOFT_GRIP_FRACTION * self.memory.omega2) if damps_waves else 0.0
 
     def _decay(self, length: float) -> float:
         """Return the decay of the fastest waves within a time [s], their damping rate times it."""
-        memory = self.memory
+        memory, damping_time = self.memory, self._damping_time
         # Waves of an undamped part persist, however much another part is damped.
-        rate = min(memory.damping, self._min_damping_time * memory.omega2) if self._damps_waves else 0.0
+        rate = min(memory.damping, damping_time * memory.omega2) if damping_time else 0.0
         return math.inf if memory.omega2 == 0.0 else rate * length
 
     def is_damped(self, length: float) -> bool:
