@@ -4,12 +4,14 @@
 
 A piece is a part of the frame, usually all of it. It has a length H and is integrated by K leapfrog runs. Their
 combination has order K + 1, because forces that depend on velocities leave odd powers of h in the error. `Controller`
-chooses K, steps and H for least work, as ODEX does (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
-II.9). Here an error estimate needs a further run, so most pieces have only a predicted error.
+chooses K and the steps for least work, as ODEX chooses order and H (Hairer, Norsett, Wanner, Solving Ordinary
+Differential Equations I, II.9). Unlike there, H is the whole frame unless a rule divides or halves it. The number of
+steps in H is free. An error estimate needs a further run, so most pieces have only a predicted error.
 
-A piece is accepted if its steps were stable and its error fits its budget. If neither more runs, finer steps nor halves
-fit the work limit, it is accepted over its budget. A piece that creates energy is rejected if its error exceeds the
-budget, or without a tolerance.
+A piece is accepted if its steps were stable and its error fits its budget. A piece that creates energy is rejected if
+its error exceeds the budget, or without a tolerance.
+
+docs/step_control.md tells when a piece is accepted over its budget.
 """
 
 from __future__ import annotations
