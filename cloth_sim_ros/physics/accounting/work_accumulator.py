@@ -71,8 +71,9 @@ class WorkAccumulator:
             integrals = run.integrals[:size]
             self._sums = self._sums + (integrals if weight == 1.0 else weight * integrals)
             if len(run.integrals) > size:
-                self._friction_work += weight * run.friction_work
-                self._recovery_work += weight * run.recovery_work
+                friction_work, recovery_work = run.contact_work
+                self._friction_work += weight * friction_work
+                self._recovery_work += weight * recovery_work
         self._duration += duration
 
     def add_obstacle_work(self, rates: Array) -> None:

@@ -88,9 +88,9 @@ def coefficient_of(counts: tuple[int, ...], length: float) -> float:
     return error_coefficient(counts) * power(length, len(counts) + 1)
 
 
-def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
-    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of one or more such pairs."""
-    return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
+def max_rates(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
+    """Return the larger squared frequency [1/s^2] and the larger damping rate [1/s] of two such pairs."""
+    return max(first[0], second[0]), max(first[1], second[1])
 
 
 class ExtrapolationTableau:
@@ -332,8 +332,11 @@ class ExtrapolationTableau:
             return 0.0, 0.0, (0.0, 0.0)
         if n_runs not in self._contact_summaries:
             self._make_runs(n_runs)
-            energies, gaps, rates = zip(*(run.contact_summary for run in self._runs[:n_runs]), strict=True)
-            self._contact_summaries[n_runs] = max(energies), contact.contact_energy(min(gaps)), max_rates(*rates)
+            energy, gap, rates = self._runs[0].contact_summary
+            for run in self._runs[1:n_runs]:
+                next_energy, next_gap, next_rates = run.contact_summary
+                energy, gap, rates = max(energy, next_energy), min(gap, next_gap), max_rates(rates, next_rates)
+            self._contact_summaries[n_runs] = energy, contact.contact_energy(gap), rates
         return self._contact_summaries[n_runs]
 
     def commit(self, n_runs: int, state: State) -> None:

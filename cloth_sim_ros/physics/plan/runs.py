@@ -100,14 +100,15 @@ class Run(NamedTuple):
         return self._has_contact and bool(self.integrals[VIOLATION_INDEX])
 
     @property
-    def friction_work(self) -> float:
-        """Energy that friction between layers of the cloth dissipated [J]; requires `record_power`."""
-        return float(self.integrals[self._base_size + 5]) if self._has_contact else 0.0
+    def contact_work(self) -> tuple[float, float]:
+        """Energy that friction between layers dissipated [J], and work on the cloth by contacts that regain thickness.
 
-    @property
-    def recovery_work(self) -> float:
-        """Work on the cloth by contacts that regain their thickness [J]; requires `record_power`."""
-        return float(self.integrals[self._base_size + 6]) if self._has_contact else 0.0
+        They require `record_power`.
+        """
+        if not self._has_contact:
+            return 0.0, 0.0
+        friction_work, recovery_work = self.integrals[-2:].tolist()
+        return friction_work, recovery_work
 
     @property
     def _has_contact(self) -> bool:
@@ -115,7 +116,7 @@ class Run(NamedTuple):
 
     @property
     def _base_size(self) -> int:
-        return n_integrals(self.grippers, self.obstacles)
+        return RECORD_NUMBERS * (self.grippers + self.obstacles) + 2
 
 
 def n_integrals(grippers: int, obstacles: int) -> int:
