@@ -31,14 +31,13 @@ static contact::Surface surface_of(const Plan& plan, std::int64_t count, const s
 CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
         auto self = std::make_unique<contact::SelfContact>();
-        contact::Surface& s = self->surface = surface_of(*plan, count, triangles, shortest, false);
+        self->surface = surface_of(*plan, count, triangles, shortest, false);
         // Particles of a grid are numbered row by row.
         if (const auto& sheet = plan->grid) {
             const auto spacing = [&](grid::Family k) {
                 return sheet->families[k].present ? sheet->families[k].rest_length : shortest;
             };
-            self->columns = sheet->columns;
-            self->separation.set(s, sheet->rows, sheet->columns, spacing(grid::right), spacing(grid::down));
+            self->set_sheet(sheet->rows, sheet->columns, spacing(grid::right), spacing(grid::down));
         }
         plan->self = std::move(self);
     });

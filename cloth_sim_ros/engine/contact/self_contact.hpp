@@ -183,8 +183,12 @@ public:
     Surface surface;
     /// Columns of a sheet on a grid, zero of any other surface.
     std::int64_t columns = 0;
-    /// Bound that makes a search for pairs unnecessary where parts of a regular sheet are far from each other.
-    SheetSeparation separation;
+    /// Set a sheet on a grid, with distances at rest [m] between columns and between rows.
+    void set_sheet(std::int64_t sheet_rows, std::int64_t sheet_columns, double column_spacing, double row_spacing) {
+        columns = sheet_columns;
+        separation_.set(surface, sheet_rows, sheet_columns, column_spacing, row_spacing);
+        single_separation_.set(surface, sheet_rows, sheet_columns, column_spacing, row_spacing);
+    }
     /// Friction coefficients between layers.
     FrictionCoefficients friction;
     bool has_friction() const { return friction.at_rest > 0.0; }
@@ -204,11 +208,13 @@ public:
 
     /// Distance [m] that a sheet must keep from itself at the velocities at the start of a frame of a duration [s], so
     /// that runs skip contact. It leaves paths room to deviate.
-    static double separation_needed(double thickness, double duration) { return thickness + speed_margin * duration; }
+    static double separation_needed(double thickness, double duration) { return thickness + max_deviation(duration); }
+    /// Distance [m] by which two particles may leave such paths.
+    static double max_deviation(double duration) { return speed_margin * duration; }
     /// Whether a regular sheet at positions x and velocities v, (3, n), stays separated from itself for a duration [s]
     /// at these velocities. False if that is not clear without a search for pairs.
     bool stays_separated(const double* x, const double* v, double thickness, double duration) {
-        if (!separation.applies()) return false;
+        if (!separation_.applies()) return false;
         const std::array<double, 2> limits{duration, separation_needed(thickness, duration)};
         const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
         const auto is_same = [&](const Array<double>& a, const double* b) {
@@ -218,32 +224,54 @@ public:
             checked_limits_ = limits;
             checked_x_.assign(x, x + size);
             checked_v_.assign(v, v + size);
-            is_separated_ = separation.separated_motions(x, {{v, duration}}, limits[1]) != 0;
+            // What single precision shows, double precision would show too.
+            is_separated_ = single_separation_.separated_motions(x, {{v, duration}}, limits[1]) != 0 ||
+                            separation_.separated_motions(x, {{v, duration}}, limits[1]) != 0;
         }
         return is_separated_;
     }
-    /// Whether a sheet keeps the thickness [m] from itself on its paths from positions x0 to a middle and from there to
-    /// x. Particles deviate from straight paths by up to these distances [m], (n,).
-    bool stayed_separated(const double* x0, const double* middle, const double* x, const std::vector<double>& to_middle,
-                          const std::vector<double>& from_middle, double thickness) {
-        ways_.resize(6 * static_cast<std::size_t>(surface.count));
-        double* const way = ways_.data() + ways_.size() / 2;
-        for (std::size_t k = 0; k < ways_.size() / 2; ++k) ways_[k] = x0[k] - middle[k], way[k] = x[k] - middle[k];
-        return separation.separated_motions(
-                   middle, {{ways_.data(), 1.0, to_middle.data()}, {way, 1.0, from_middle.data()}}, thickness) == 3;
+    /// Whether it is clear at little cost that a sheet keeps the thickness [m] from itself on its path from positions x0
+    /// to x. Two particles together leave straight paths by up to a deviation [m].
+    bool stayed_separated(const double* x0, const double* x, double deviation, double thickness) {
+        return single_separation_.is_clear(x0, thickness + deviation, {{ways_to(x, x0, 0), 1.0}});
     }
+    /// Whether it keeps it on its paths from x0 to a middle and from there to x. Each particle deviates from straight
+    /// paths by up to these distances [m], (n,).
+    bool stayed_separated(const double* x0, const double* middle, const double* x,
+                          const std::array<std::vector<double>, 2>& deviations, double thickness) {
+        return single_separation_.separated_motions(middle,
+                                                    {{ways_to(x0, middle, 0), 1.0, deviations[0].data()},
+                                                     {ways_to(x, middle, 1), 1.0, deviations[1].data()}},
+                                                    thickness) == 3;
+    }
+    /// Let the next frames record the paths of particles.
+    void record_paths() { path_frames_ = max_path_frames; }
+    /// Whether the present frame records them; counts it.
+    bool records_paths() { return path_frames_ > 0 && path_frames_-- > 0; }
     /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact
     /// with itself. False for any other surface.
-    bool is_clear(const double* x, double thickness) { return separation.is_clear(x, thickness); }
+    bool is_clear(const double* x, double thickness) { return separation_.is_clear(x, thickness); }
     /// Speed that particles may gain in a frame [m/s].
     static constexpr double speed_margin = 0.1;
 
 private:
+    /// Bounds that make a search for pairs unnecessary where parts of a regular sheet are far from each other. Those in
+    /// single precision allow for its rounding.
+    SheetSeparation<double> separation_;
+    SheetSeparation<float> single_separation_;
     /// Arguments and result of `stays_separated`.
     std::array<double, 2> checked_limits_{-1.0, -1.0};
     Array<double> checked_x_, checked_v_;
-    /// Displacements of `stayed_separated` from the middle to the start and to the end.
-    std::vector<double> ways_;
+    /// Displacements [m] of `stayed_separated` from positions to x, (3, n); `k`: which of two.
+    const double* ways_to(const double* x, const double* from, int k) {
+        ways_[k].resize(3 * static_cast<std::size_t>(surface.count));
+        for (std::size_t i = 0; i < ways_[k].size(); ++i) ways_[k][i] = x[i] - from[i];
+        return ways_[k].data();
+    }
+    std::vector<double> ways_[2];
+    /// Frames that will record the paths of particles, of so many after one that needed them.
+    static constexpr int max_path_frames = 256;
+    int path_frames_ = 0;
     bool is_separated_ = false;
     std::array<std::unique_ptr<SelfVerletList>, plan::max_concurrency> neighbors_;
     bool caches_ = true;

@@ -703,7 +703,10 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
     SelfContact& self = *plan.self;
     plan.self_culled = is_separated_ =
         !is_surely_in_contact(plan, x0) && self.stays_separated(x0, v0, plan.contacts.thickness, duration);
-    if (is_separated_) return;
+    if (is_separated_) {
+        records_paths_ = self.records_paths();
+        return;
+    }
     const Array<double> positions = quads_of(plan, x0);
     speed_limit_ = 2.0 * max_relative_speed(plan, v0) + SelfContact::speed_margin;
     const double margin = speed_limit_ * duration;
@@ -711,12 +714,22 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
                        self.neighbors().has_no_pairs(positions.data(), plan.contacts.thickness, margin);
 }
 
-bool SelfCulling::is_violated(const double* x, const double* v, const MotionRecord& motion) const {
+bool SelfCulling::is_violated(const double* x, const double* v, MotionRecord& motion) const {
     if (!plan_.self_culled) return false;
     if (!is_separated_) return !(larger(motion.max_relative_speed(), max_relative_speed(plan_, v)) <= speed_limit_);
-    const MotionRecord::Path to_middle = motion.path(0, plan_.rank), from_middle = motion.path(1, plan_.rank);
-    return !plan_.self->stayed_separated(x0_, motion.middle(), x, to_middle.deviations, from_middle.deviations,
-                                         plan_.contacts.thickness);
+    SelfContact& self = *plan_.self;
+    const double thickness = plan_.contacts.thickness;
+    if (motion.keeps_paths())
+        return !self.stayed_separated(x0_, motion.middle(), x, motion.half_deviations(plan_.rank), thickness);
+    if (motion.max_relative_deviation() <= SelfContact::max_deviation(duration_)) return false;
+    // Relative velocities differ by up to twice their largest change.
+    return !self.stayed_separated(x0_, x, 0.5 * duration_ * motion.max_relative_change(), thickness);
+}
+
+bool SelfCulling::requires_paths(const MotionRecord& motion) const {
+    const bool required = plan_.self_culled && is_separated_ && !motion.keeps_paths();
+    if (required) plan_.self->record_paths();
+    return required;
 }
 
 FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0)

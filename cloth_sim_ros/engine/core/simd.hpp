@@ -338,6 +338,17 @@ CLOTH_INLINE void deinterleave(const quad<scalar<V>>* rows, V& x, V& y, V& z) {
     deinterleave(rows, x, y, z, unused);
 }
 
+/// The numbers of even and of odd index in two vectors, one after the other.
+template <class V>
+CLOTH_INLINE void split_pairs(V first, V second, V& even, V& odd) {
+    constexpr int L = sizeof(V) / sizeof(scalar<V>);
+    const auto split = [&]<int... I>(std::integer_sequence<int, I...>) CLOTH_INLINED {
+        even = __builtin_shufflevector(first, second, (2 * I)...);
+        odd = __builtin_shufflevector(first, second, (2 * I + 1)...);
+    };
+    split(std::make_integer_sequence<int, L>{});
+}
+
 /// `w`: the fourth numbers.
 template <class V>
 CLOTH_INLINE void interleave(V x, V y, V z, quad<scalar<V>>* rows, V w = V{}) {

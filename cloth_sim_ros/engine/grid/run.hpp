@@ -56,7 +56,7 @@ public:
         messages_.resize(std::max<std::size_t>((bands_ - 1) * 4, messages_.size()));
         for (auto& message : messages_) message.resize(halo_ * stride_);
         counters_ = std::vector<Counter>(bands_);
-        if (run.motion) run.motion->start<T>(run.steps, run.step, bands_, run.x0, run.v0, {});
+        if (run.motion) run.motion->start<T>(plan.count, run.steps, run.step, bands_, run.x0, run.v0, {});
         middle_.resize(run.activity ? 3 * pitch_ * grid_.rows : 0);
         if (run.activity) differences_.assign(bands_, plan::HalfDifference(run));
         step_row_ = select_row_step<T>(grid_.shape(), mode_, carries_air_);

@@ -29,7 +29,7 @@ public:
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
         off_grid_.allocate(borders_);
         off_grid_.prepare_poses(threads_);
-        if (run.motion) run.motion->start<T>(run.steps, run.step, threads_, run.x0, run.v0, plan.rank);
+        if (run.motion) run.motion->start<T>(plan.count, run.steps, run.step, threads_, run.x0, run.v0, plan.rank);
         off_grid_.init_contact_by_ranks(threads_);
         const std::int64_t n = plan.count;
         velocity_.assign(4 * n, T(0));

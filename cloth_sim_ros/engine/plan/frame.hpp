@@ -122,11 +122,6 @@ inline void execute_concurrently(Plan& plan, const FrameRequest& frame, std::spa
     });
 }
 
-/// Prescribed particles are at their points at the end of a run, exactly.
-inline void prescribe_end(const Plan& plan, const FrameRequest& frame, const Run& run) {
-    plan.grips.prescribe(frame.t + frame.duration, plan.count, run.x, run.v);
-}
-
 /// Contact that the runs of a frame leave out: the three classes together.
 class FrameCulling {
 public:
@@ -136,19 +131,25 @@ public:
           features_(plan, frame.t, frame.duration, frame.x0, frame.v0) {}
     /// Whether runs leave anything out.
     bool is_active() const { return obstacles_.is_active() || self_.is_active() || features_.is_active(); }
-    /// Record of what the assumptions need.
-    MotionRecord record() const {
+    /// What a run must record for the assumptions; `with_paths`: rather the path of each particle than bounds of all.
+    MotionNeeds needs(bool with_paths) const {
         const bool is_separated = self_.is_active() && self_.is_separated();
-        const bool keeps_bounds =
-            obstacles_.is_active() || features_.is_active() || (self_.is_active() && !is_separated);
-        return {keeps_bounds, is_separated ? plan_.count : 0};
+        return {
+            .velocities = obstacles_.is_active() || features_.is_active() || (self_.is_active() && !is_separated),
+            .changes = is_separated && !with_paths,
+            .paths = is_separated && with_paths,
+        };
     }
+    /// Whether runs record the path of each particle at once.
+    bool records_paths() const { return self_.records_paths(); }
     /// Whether a run, which records its motion, violates the assumptions.
     bool is_violated(const Run& run) const {
         if (!run.motion) return false;
         return violates_obstacles(run) || self_.is_violated(run.x, run.v, *run.motion) ||
                features_.is_violated(run.v, *run.motion);
     }
+    /// Whether a run that seems to violate them has to be repeated with the path of each particle.
+    bool requires_paths(const Run& run) const { return !violates_obstacles(run) && self_.requires_paths(*run.motion); }
     /// Leave out no contact that the run concerns.
     void disable_for(const Run& run) {
         if (violates_obstacles(run)) obstacles_.disable();
@@ -172,8 +173,17 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
     std::vector<Run> runs = runs_of(plan, frame);
     const auto requested = static_cast<std::size_t>(frame.combined);
     FrameCulling culling(plan, frame);
-    std::vector<MotionRecord> motions(culling.is_active() ? runs.size() : 0, culling.record());
-    for (std::size_t k = 0; k < motions.size(); ++k) runs[k].motion = &motions[k];
+    if (plan.motions.size() < runs.size()) plan.motions.resize(runs.size());
+    for (std::size_t k = 0; culling.is_active() && k < runs.size(); ++k) {
+        runs[k].motion = &plan.motions[k];
+        runs[k].motion->record(culling.needs(culling.records_paths()));
+    }
+    const std::int64_t size_of_record = plan.grips.grippers * record_numbers + 2 + contact_record_size(plan);
+    // Prescribed particles are at their points at the end, exactly.
+    const auto is_violated = [&](const Run& run) {
+        plan.grips.prescribe(frame.t + frame.duration, plan.count, run.x, run.v);
+        return culling.is_violated(run);
+    };
     bool is_repeated = false, drops = false;
     for (std::size_t count = runs.size();; count = requested) {
         const bool is_concurrent = frame.concurrency > 1 && count > 1 && plan.has_independent_runs();
@@ -182,14 +192,18 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
         for (; k < count; ++k) {
             const RunStatus done = is_concurrent ? RunStatus::ok : execute_run(plan, runs[k]);
             if (done != RunStatus::ok) return done;
-            prescribe_end(plan, frame, runs[k]);
-            if (culling.is_violated(runs[k])) break;
+            if (!is_violated(runs[k])) continue;
+            if (!culling.requires_paths(runs[k])) break;
+            runs[k].motion->record(culling.needs(true));
+            std::fill_n(runs[k].gripper_record, size_of_record, 0.0);
+            const RunStatus repeated = execute_run(plan, runs[k]);
+            if (repeated != RunStatus::ok) return repeated;
+            if (is_violated(runs[k])) break;
         }
         drops = drops || k < count;
         if (k >= requested) break;
         culling.disable_for(runs[k]);
-        const std::int64_t size = plan.grips.grippers * record_numbers + 2 + contact_record_size(plan);
-        std::fill(frame.records, frame.records + frame.runs * size, 0.0);
+        std::fill_n(frame.records, frame.runs * size_of_record, 0.0);
         is_repeated = true;
     }
     for (std::size_t k = 0; drops && k < runs.size(); ++k)

@@ -4,10 +4,12 @@
 // Velocities of a run at its steps. What a run leaves out, because nothing gets there, depends on them: a particle that
 // is slow at both ends of a run may be fast between them.
 //
-// In a time T a path leaves the straight one between its ends by at most T/4 times the diagonal of the box of the
-// particle's velocities: by t (T - t)/T times the difference of the mean velocities before and after t.
+// A path of a velocity v(t) leaves the one of constant velocity v(0) by at most the integral of |v - v(0)|. In a time T
+// it leaves the straight one between its ends by at most T/4 times the diameter of the set of all v(t): by t (T - t)/T
+// times the difference of the mean velocities before and after t. Both hold for differences of two particles, too.
 #pragma once
 
+#include <array>
 #include <limits>
 #include <vector>
 
@@ -84,17 +86,17 @@ public:
             store4(high_.data() + i, sets ? a : quad<T>(larger(a, load4(high_.data() + i))));
         }
     }
-    /// Set the largest distances [m] from straight paths in a time [s], (n,).
+    /// Set the largest distances of particles [m], (n,), from straight paths in a time [s].
     void deviations(double duration, const std::vector<std::int64_t>& rank, std::vector<double>& out) const {
-        for (std::int64_t i = 0; i < count_; ++i) {
-            double square = 0.0;
-            for (int c = 0; c < 3; ++c) {
-                const std::int64_t k = offset(i, c, rank);
+        if (!count_) return;
+        out.assign(count_, 0.0);
+        for (int c = 0; c < 3; ++c)
+            for (std::int64_t i = 0; i < count_; ++i) {
+                const std::int64_t k = in_quads_ ? 4 * rank[i] + c : c * count_ + i;
                 const double width = static_cast<double>(high_[k]) - static_cast<double>(low_[k]);
-                square = fma(width, width, square);
+                out[i] = fma(width, width, out[i]);
             }
-            out[i] = 0.25 * duration * root(square);
-        }
+        for (double& deviation : out) deviation = 0.25 * duration * root(deviation);
     }
 
 private:
@@ -106,98 +108,23 @@ private:
     std::vector<T> low_, high_;
 };
 
-/// Velocities of a run as needed: bounds of all in each step, and paths of particles in both halves of the run.
-class MotionRecord {
+/// Bounds of all particles in each step of a run, by thread.
+class StepBounds {
 public:
-    /// Path of all particles in a part of a run: its duration [s], and largest distances from straight paths [m], (n,).
-    struct Path {
-        double duration;
-        std::vector<double> deviations;
-    };
-    MotionRecord() = default;
-    /// `keeps_bounds`: whether bounds in each step are recorded; `n_paths`: number of particles whose paths are, or 0.
-    MotionRecord(bool keeps_bounds, std::int64_t n_paths) : keeps_bounds_(keeps_bounds), n_paths_(n_paths) {}
-    bool keeps_bounds() const { return keeps_bounds_; }
-    bool keeps_paths() const { return n_paths_ > 0; }
-    /// Prepare for a run of a number of steps of a size [s] on some threads, with numbers of a type, from positions x0
-    /// and velocities v0, (3, n); `rank`: places of particles in quads, empty for rows.
+    /// Prepare for a number of steps on some threads, with numbers of a type.
     template <class T>
-    void start(std::int64_t steps, double step, int threads, const double* x0, const double* v0,
-               const std::vector<std::int64_t>& rank) {
+    void start(std::int64_t steps, int threads) {
         steps_per_slot_ = steps / max_slots + 1;
         slots_ = steps / steps_per_slot_ + 1;
-        bounds<double>().clear(), bounds<float>().clear();
-        bounds<T>().assign(keeps_bounds_ ? static_cast<std::size_t>(threads) * slots_ : 0, VelocityBounds<vec<T>>{});
-        middle_step_ = steps / 2 - 1, step_ = step, steps_ = steps;
-        for (int half = 0; half < 2 && keeps_paths(); ++half) {
-            boxes<double>(half).start(0, false), boxes<float>(half).start(0, false);
-            boxes<T>(half).start(n_paths_, !rank.empty());
-        }
-        if (!keeps_paths()) return;
-        boxes<T>(0).set(v0, rank);
-        // Where the middle is not after a step, it is after the drift at the start.
-        middle_.resize(3 * n_paths_);
-        for (std::int64_t k = 0; k < 3 * n_paths_; ++k) middle_[k] = fma(0.5 * step, v0[k], x0[k]);
+        double_.clear(), single_.clear();
+        bounds<T>().assign(static_cast<std::size_t>(threads) * slots_, VelocityBounds<vec<T>>{});
     }
-    /// Include the path of a row of particles from the i-th on after a step: positions relative to an origin, and
-    /// velocities, whose components are `pitch` apart.
-    template <class T>
-    void include_row(std::int64_t step, std::int64_t first, std::int64_t columns, const T* x, const T* v,
-                     std::int64_t pitch, const double* origin) {
-        boxes<T>(step > middle_step_).include_row(step == middle_step_ + 1, first, columns, v, pitch);
-        for (int c = 0; c < 3 && step == middle_step_; ++c)
-            for (std::int64_t j = 0; j < columns; ++j)
-                middle_[c * n_paths_ + first + j] = origin[c] + static_cast<double>(x[c * pitch + j]);
-    }
-    /// Include the paths of the particles from the first rank to that before the last, in quads, after a step.
-    template <class T>
-    void include_quads(std::int64_t step, std::int64_t first, std::int64_t last, const T* x, const T* v,
-                       const std::vector<std::int64_t>& particle_of_rank, const double* origin) {
-        boxes<T>(step > middle_step_).include_quads(step == middle_step_ + 1, first, last, v);
-        for (std::int64_t i = first; i < last && step == middle_step_; ++i)
-            for (int c = 0; c < 3; ++c)
-                middle_[c * n_paths_ + particle_of_rank[i]] = origin[c] + static_cast<double>(x[4 * i + c]);
-    }
-    /// Positions in the middle of the run [m], (3, n).
-    const double* middle() const { return middle_.data(); }
-    /// Path to the middle, or from there; `rank`: places of particles in quads.
-    Path path(int half, const std::vector<std::int64_t>& rank) const {
-        // The middle is half a step after the step's end.
-        const double before = (static_cast<double>(middle_step_) + 1.5) * step_;
-        Path path{half ? static_cast<double>(steps_) * step_ - before : before, std::vector<double>(n_paths_, 0.0)};
-        double_boxes_[half].deviations(path.duration, rank, path.deviations);
-        single_boxes_[half].deviations(path.duration, rank, path.deviations);
-        return path;
-    }
-    /// Include velocities after a step on a thread; steps before the first do not count.
+    /// Include bounds after a step on a thread; steps before the first do not count.
     template <class T>
     CLOTH_INLINE void include(int thread, std::int64_t step, const VelocityBounds<vec<T>>& added) {
         if (step >= 0) bounds<T>()[thread * slots_ + step / steps_per_slot_].include(added);
     }
-    /// Upper bound of the speed [m/s] in any step.
-    double max_speed() const {
-        double square = 0.0;
-        for_each_slot([&](const VelocityBounds<double>& all) { square = larger(all.max_square(), square); });
-        return root(square);
-    }
-    /// Upper bound of the relative speed of two particles [m/s] in any step.
-    double max_relative_speed() const {
-        double square = 0.0;
-        for_each_slot([&](const VelocityBounds<double>& all) { square = larger(norm2(all.high - all.low), square); });
-        return root(square);
-    }
-
-private:
-    /// Long runs have one slot for several steps.
-    static constexpr std::int64_t max_slots = 4096;
-
-    template <class T>
-    std::vector<VelocityBounds<vec<T>>>& bounds() {
-        if constexpr (sizeof(T) == 8)
-            return double_;
-        else
-            return single_;
-    }
+    std::int64_t steps_per_slot() const { return steps_per_slot_; }
     /// Call `visit` with the bounds of all threads in each slot that has any.
     template <class F>
     void for_each_slot(F&& visit) const {
@@ -217,6 +144,142 @@ private:
         visit_all(double_);
         visit_all(single_);
     }
+
+private:
+    /// Long runs have one slot for several steps.
+    static constexpr std::int64_t max_slots = 4096;
+
+    template <class T>
+    std::vector<VelocityBounds<vec<T>>>& bounds() {
+        if constexpr (sizeof(T) == 8)
+            return double_;
+        else
+            return single_;
+    }
+    std::int64_t steps_per_slot_ = 1, slots_ = 0;
+    std::vector<VelocityBounds<vec<double>>> double_;  ///< by thread, then by slot
+    std::vector<VelocityBounds<vec<float>>> single_;
+};
+
+/// What a run records: bounds of all velocities in each step, bounds of their changes since the start, and the box of
+/// each particle's velocities in both halves of the run.
+struct MotionNeeds {
+    bool velocities = false, changes = false, paths = false;
+};
+
+/// Velocities of a run as needed: bounds of all in each step, and paths of particles in both halves of the run.
+class MotionRecord {
+public:
+    /// Record this in the next run.
+    void record(const MotionNeeds& needs) { needs_ = needs; }
+    bool keeps_velocities() const { return needs_.velocities; }
+    bool keeps_changes() const { return needs_.changes; }
+    bool keeps_paths() const { return needs_.paths; }
+    /// Prepare for a run of n particles and a number of steps of a size [s] on some threads, with numbers of a type,
+    /// from positions x0 and velocities v0, (3, n); `rank`: places of particles in quads, empty for rows.
+    template <class T>
+    void start(std::int64_t n, std::int64_t steps, double step, int threads, const double* x0, const double* v0,
+               const std::vector<std::int64_t>& rank) {
+        if (keeps_velocities()) velocities_.start<T>(steps, threads);
+        if (keeps_changes()) {
+            changes_.start<T>(steps, threads);
+            std::vector<T>& start = start_velocities_vector<T>();
+            start.assign(rank.empty() ? 3 * n : 4 * n, T(0));
+            for (int c = 0; c < 3; ++c)
+                for (std::int64_t i = 0; i < n; ++i)
+                    start[rank.empty() ? c * n + i : 4 * rank[i] + c] = static_cast<T>(v0[c * n + i]);
+        }
+        count_ = n, middle_step_ = steps / 2 - 1, step_ = step, steps_ = steps;
+        for (int half = 0; half < 2 && keeps_paths(); ++half) {
+            boxes<double>(half).start(0, false), boxes<float>(half).start(0, false);
+            boxes<T>(half).start(n, !rank.empty());
+        }
+        if (!keeps_paths()) return;
+        boxes<T>(0).set(v0, rank);
+        // Where the middle is not after a step, it is after the drift at the start.
+        middle_.resize(3 * n);
+        for (std::int64_t k = 0; k < 3 * n; ++k) middle_[k] = fma(0.5 * step, v0[k], x0[k]);
+    }
+    /// Velocities at the start, in rows by component, or in quads by rank.
+    template <class T>
+    const T* start_velocities() const {
+        return const_cast<MotionRecord*>(this)->start_velocities_vector<T>().data();
+    }
+    /// Include the path of a row of particles from the i-th on after a step: positions relative to an origin, and
+    /// velocities, whose components are `pitch` apart.
+    template <class T>
+    void include_row(std::int64_t step, std::int64_t first, std::int64_t columns, const T* x, const T* v,
+                     std::int64_t pitch, const double* origin) {
+        boxes<T>(step > middle_step_).include_row(step == middle_step_ + 1, first, columns, v, pitch);
+        for (int c = 0; c < 3 && step == middle_step_; ++c)
+            for (std::int64_t j = 0; j < columns; ++j)
+                middle_[c * count_ + first + j] = origin[c] + static_cast<double>(x[c * pitch + j]);
+    }
+    /// Include the paths of the particles from the first rank to that before the last, in quads, after a step.
+    template <class T>
+    void include_quads(std::int64_t step, std::int64_t first, std::int64_t last, const T* x, const T* v,
+                       const std::vector<std::int64_t>& particle_of_rank, const double* origin) {
+        boxes<T>(step > middle_step_).include_quads(step == middle_step_ + 1, first, last, v);
+        for (std::int64_t i = first; i < last && step == middle_step_; ++i)
+            for (int c = 0; c < 3; ++c)
+                middle_[c * count_ + particle_of_rank[i]] = origin[c] + static_cast<double>(x[4 * i + c]);
+    }
+    /// Positions in the middle of the run [m], (3, n).
+    const double* middle() const { return middle_.data(); }
+    /// Largest distances of particles [m], (n,), from straight paths to the middle, and from there; `rank`: places of
+    /// particles in quads.
+    const std::array<std::vector<double>, 2>& half_deviations(const std::vector<std::int64_t>& rank) {
+        // The middle is half a step after the step's end.
+        const double before = (static_cast<double>(middle_step_) + 1.5) * step_;
+        for (int half = 0; half < 2; ++half) {
+            const double duration = half ? static_cast<double>(steps_) * step_ - before : before;
+            double_boxes_[half].deviations(duration, rank, half_deviations_[half]);
+            single_boxes_[half].deviations(duration, rank, half_deviations_[half]);
+        }
+        return half_deviations_;
+    }
+    /// Include bounds of velocities, and of their changes, after a step on a thread.
+    template <class T>
+    CLOTH_INLINE void include_velocities(int thread, std::int64_t step, const VelocityBounds<vec<T>>& added) {
+        velocities_.include<T>(thread, step, added);
+    }
+    template <class T>
+    CLOTH_INLINE void include_changes(int thread, std::int64_t step, const VelocityBounds<vec<T>>& added) {
+        changes_.include<T>(thread, step, added);
+    }
+    /// Upper bound of the speed [m/s] in any step.
+    double max_speed() const {
+        double square = 0.0;
+        velocities_.for_each_slot([&](const auto& all) { square = larger(all.max_square(), square); });
+        return root(square);
+    }
+    /// Upper bound of the relative speed of two particles [m/s] in any step.
+    double max_relative_speed() const {
+        double square = 0.0;
+        velocities_.for_each_slot([&](const auto& all) { square = larger(norm2(all.high - all.low), square); });
+        return root(square);
+    }
+    /// Upper bound of the change of the relative velocity of two particles [m/s] since the start, in any step.
+    double max_relative_change() const {
+        double square = 0.0;
+        changes_.for_each_slot([&](const auto& all) { square = larger(norm2(all.high - all.low), square); });
+        return root(square);
+    }
+    /// Upper bound of the distance [m] by which two particles together leave paths of their velocities at the start.
+    double max_relative_deviation() const {
+        double sum = 0.0;
+        changes_.for_each_slot([&](const auto& all) { sum += root(norm2(all.high - all.low)); });
+        return static_cast<double>(changes_.steps_per_slot()) * step_ * sum;
+    }
+
+private:
+    template <class T>
+    std::vector<T>& start_velocities_vector() {
+        if constexpr (sizeof(T) == 8)
+            return double_start_;
+        else
+            return single_start_;
+    }
     template <class T>
     VelocityBoxes<T>& boxes(int half) {
         if constexpr (sizeof(T) == 8)
@@ -224,13 +287,14 @@ private:
         else
             return single_boxes_[half];
     }
-    bool keeps_bounds_ = true;
-    std::int64_t n_paths_ = 0, steps_per_slot_ = 1, slots_ = 0;
-    std::int64_t middle_step_ = 0, steps_ = 0;  ///< last step of the first half; all steps
+    MotionNeeds needs_;
+    std::int64_t count_ = 0, middle_step_ = 0,
+                 steps_ = 0;  ///< number of particles; last step of the first half; all steps
     double step_ = 0.0;
-    std::vector<double> middle_;
-    std::vector<VelocityBounds<vec<double>>> double_;  ///< by thread, then by slot
-    std::vector<VelocityBounds<vec<float>>> single_;
+    StepBounds velocities_, changes_;
+    std::vector<double> double_start_, middle_;
+    std::vector<float> single_start_;
+    std::array<std::vector<double>, 2> half_deviations_;
     VelocityBoxes<double> double_boxes_[2];  ///< by half
     VelocityBoxes<float> single_boxes_[2];
 };

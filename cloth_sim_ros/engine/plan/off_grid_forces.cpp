@@ -175,46 +175,74 @@ template <class T>
 void OffGridForces<T>::record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* at,
                                          std::int64_t pitch) {
     using V = vec<T>;
-    const std::int64_t columns = plan.grid->columns;
+    plan::MotionRecord& motion = *run.motion;
+    const std::int64_t columns = plan.grid->columns, first = row * columns;
     const T *const x = at + position * pitch, *const v = at + grid::velocity * pitch;
-    if (run.motion->keeps_paths()) run.motion->include_row<T>(step, row * columns, columns, x, v, pitch, origin);
-    if (!run.motion->keeps_bounds()) return;
-    VelocityBounds<V> bounds;
-    if (columns >= lanes<T>) {
-        // The last vector overlaps the one before: there is no particle after the last.
-        for (std::int64_t j = 0; j < columns; j += lanes<T>) {
-            const T* const from = v + std::min(j, columns - lanes<T>);
-            bounds.include(Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)});
+    if (motion.keeps_paths()) motion.include_row<T>(step, first, columns, x, v, pitch, origin);
+    // Bounds of the numbers that component(c, column, read) gives.
+    const auto bounds_of = [&](auto&& component) CLOTH_INLINED {
+        VelocityBounds<V> bounds;
+        const auto include = [&](std::int64_t column, auto&& read) CLOTH_INLINED {
+            bounds.include(Vec3<V>{component(0, column, read), component(1, column, read), component(2, column, read)});
+        };
+        if (columns >= lanes<T>) {
+            // The last vector overlaps the one before: there is no particle after the last.
+            for (std::int64_t j = 0; j < columns; j += lanes<T>)
+                include(std::min(j, columns - lanes<T>), [](const T* from) CLOTH_INLINED { return load(from); });
+        } else {
+            for (std::int64_t j = 0; j < columns; ++j)
+                include(j, [](const T* from) CLOTH_INLINED { return splat<V>(*from); });
         }
-    } else {
-        for (std::int64_t j = 0; j < columns; ++j)
-            bounds.include(Vec3<V>{splat<V>(v[j]), splat<V>(v[pitch + j]), splat<V>(v[2 * pitch + j])});
+        return bounds;
+    };
+    if (motion.keeps_velocities()) {
+        const auto velocity = [&](int c, std::int64_t column, auto&& read)
+                                  CLOTH_INLINED { return read(v + c * pitch + column); };
+        record_block_velocities(thread, row, step, bounds_of(velocity));
     }
-    record_block_motion(thread, row, step, bounds);
+    if (motion.keeps_changes()) {
+        const T* const v0 = motion.start_velocities<T>() + first;
+        const auto change = [&](int c, std::int64_t column, auto&& read) CLOTH_INLINED {
+            return read(v + c * pitch + column) - read(v0 + c * plan.count + column);
+        };
+        motion.include_changes<T>(thread, step, bounds_of(change));
+    }
 }
 
 template <class T>
 void OffGridForces<T>::record_motion(int thread, std::int64_t step, const T* v, std::int64_t first, std::int64_t last) {
     using V = vec<T>;
-    if (run.motion->keeps_paths())
-        run.motion->include_quads<T>(step, first, last, x.data(), v, plan.particle_of_rank, origin);
-    for (std::int64_t begin = first; run.motion->keeps_bounds() && begin < last; begin += contact_block) {
-        quad<T> low = load4(v + 4 * begin), high = low;
-        for (std::int64_t i = begin; i < std::min(begin + contact_block, last); ++i) {
-            low = smaller(load4(v + 4 * i), low);
-            high = larger(load4(v + 4 * i), high);
+    plan::MotionRecord& motion = *run.motion;
+    if (motion.keeps_paths()) motion.include_quads<T>(step, first, last, x.data(), v, plan.particle_of_rank, origin);
+    // Bounds of the quads that quad_of(rank) gives.
+    const auto bounds_of = [&](std::int64_t begin, std::int64_t end, auto&& quad_of) CLOTH_INLINED {
+        quad<T> low = quad_of(begin), high = low;
+        for (std::int64_t i = begin; i < end; ++i) {
+            const quad<T> present = quad_of(i);
+            low = smaller(present, low);
+            high = larger(present, high);
         }
         VelocityBounds<V> bounds;
         bounds.include({splat<V>(low[0]), splat<V>(low[1]), splat<V>(low[2])},
                        {splat<V>(high[0]), splat<V>(high[1]), splat<V>(high[2])});
-        record_block_motion(thread, begin / contact_block, step, bounds);
+        return bounds;
+    };
+    for (std::int64_t begin = first; motion.keeps_velocities() && begin < last; begin += contact_block) {
+        const auto velocity = [&](std::int64_t i) CLOTH_INLINED { return load4(v + 4 * i); };
+        record_block_velocities(thread, begin / contact_block, step,
+                                bounds_of(begin, std::min(begin + contact_block, last), velocity));
+    }
+    if (motion.keeps_changes() && first < last) {
+        const T* const v0 = motion.start_velocities<T>();
+        const auto change = [&](std::int64_t i) CLOTH_INLINED { return quad<T>(load4(v + 4 * i) - load4(v0 + 4 * i)); };
+        motion.include_changes<T>(thread, step, bounds_of(first, last, change));
     }
 }
 
 template <class T>
-void OffGridForces<T>::record_block_motion(int thread, std::int64_t block, std::int64_t step,
-                                           const VelocityBounds<vec<T>>& bounds) {
-    run.motion->include<T>(thread, step, bounds);
+void OffGridForces<T>::record_block_velocities(int thread, std::int64_t block, std::int64_t step,
+                                               const VelocityBounds<vec<T>>& bounds) {
+    run.motion->include_velocities<T>(thread, step, bounds);
     if (contact) contact->check_speed(thread, block, step, bounds.max_square());
 }
 

@@ -91,7 +91,8 @@ struct OffGridForces {
     /// records its motion. Blocks that contact skips must not be faster than assumed.
     void record_row_motion(int thread, std::int64_t row, std::int64_t step, const T* at, std::int64_t pitch);
     void record_motion(int thread, std::int64_t step, const T* v, std::int64_t first, std::int64_t last);
-    void record_block_motion(int thread, std::int64_t block, std::int64_t step, const VelocityBounds<vec<T>>& bounds);
+    void record_block_velocities(int thread, std::int64_t block, std::int64_t step,
+                                 const VelocityBounds<vec<T>>& bounds);
     /// Add the forces of contact, grippers, lists and callback to the force row of a sheet's row.
     void add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
     /// Position, relative to the origin, and velocity of a particle.

@@ -66,6 +66,8 @@ struct Plan {
     Grips grips;
     /// Positions and velocities (2, 3, n) at the start of the present frame, if particles are prescribed.
     std::vector<double> prescribed_start;
+    /// Records of the runs of a frame.
+    std::vector<MotionRecord> motions;
     Contacts contacts;
     /// Self-contact, with the thickness and damping of `contacts`.
     std::unique_ptr<SelfContact> self;

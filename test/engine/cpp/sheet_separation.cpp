@@ -23,7 +23,8 @@ struct MovingSheet {
     Surface surface;
     Index rows, columns;
     std::vector<double> x, v;
-    SheetSeparation separation;
+    SheetSeparation<double> separation;
+    SheetSeparation<float> single;
 
     MovingSheet(Index r, Index c) : rows(r), columns(c) {
         surface.count = rows * columns;
@@ -41,6 +42,7 @@ struct MovingSheet {
         surface.build_topology();
         x.assign(3 * surface.count, 0.0), v.assign(3 * surface.count, 0.0);
         separation.set(surface, rows, columns, 0.1, 0.1);
+        single.set(surface, rows, columns, 0.1, 0.1);
     }
     void set(std::vector<double>& a, Index i, Vec3<double> p) {
         a[i] = p.x, a[surface.count + i] = p.y, a[2 * surface.count + i] = p.z;
@@ -61,6 +63,10 @@ struct MovingSheet {
     /// Whether all pairs are found to stay `needed` apart for a duration.
     bool stays_apart(double duration, double needed) {
         return separation.separated_motions(x.data(), {{v.data(), duration}}, needed) == 1;
+    }
+    /// The same in single precision.
+    bool stays_apart_in_single(double duration, double needed) {
+        return single.separated_motions(x.data(), {{v.data(), duration}}, needed) == 1;
     }
     Vec3<double> at(Index i, double t) const {
         const std::int64_t n = surface.count;
@@ -89,7 +95,7 @@ struct MovingSheet {
 
 TEST_CASE("pairs that are found to stay apart do so, now, later and before") {
     Random random;
-    int n_apart = 0, n_unclear = 0;
+    int n_apart = 0, n_unclear = 0, n_apart_in_single = 0;
     for (const auto& [rows, columns] : {std::pair<Index, Index>{2, 2}, {2, 9}, {9, 2}, {5, 12}, {11, 10}})
         for (const Shape shape : {flat, arch, wrinkled, folded, crumpled})
             for (const double speed : {0.0, 0.2, 2.0}) {
@@ -102,12 +108,17 @@ TEST_CASE("pairs that are found to stay apart do so, now, later and before") {
                         const bool is_apart = sheet.stays_apart(duration, needed);
                         ++(is_apart ? n_apart : n_unclear);
                         if (is_apart) CHECK(distance >= needed);
+                        const bool is_apart_in_single = sheet.stays_apart_in_single(duration, needed);
+                        n_apart_in_single += is_apart_in_single;
+                        // Single precision shows nothing that double precision would not.
+                        CHECK(is_apart_in_single <= is_apart);
                         CHECK_FALSE(sheet.stays_apart(duration, 1.00001 * distance));
                     }
                 }
             }
     // Neither is a matter of course.
     CHECK(n_apart > 120);
+    CHECK(n_apart_in_single > n_apart - 10);
     CHECK(n_unclear > 100);
 }
 
@@ -136,7 +147,7 @@ TEST_CASE("motions are found separated together as they are one by one") {
             other.arrange(shape, 5.2 - speed, random);
             sheet.arrange(shape, speed, random);
             const double* const x = sheet.x.data();
-            const SheetSeparation::Motion first{other.v.data(), 0.01}, second{sheet.v.data(), -0.01};
+            const SheetSeparation<double>::Motion first{other.v.data(), 0.01}, second{sheet.v.data(), -0.01};
             for (const double needed : {0.004, 0.01, 0.02, 0.05}) {
                 unsigned alone = 0;
                 for (int k = 0; k < 2; ++k)
@@ -155,15 +166,16 @@ TEST_CASE("a part that passed another in a frame has not stayed separated") {
     sheet.arrange(folded, 0.0, random);
     SelfContact self;
     self.surface = sheet.surface;
-    self.separation = sheet.separation;
+    self.set_sheet(11, 10, 0.1, 0.1);
     const double thickness = 0.004, duration = 0.02;
     CHECK(self.stays_separated(sheet.x.data(), sheet.v.data(), thickness, duration));
     const auto stayed = [&](double height, double middle_height, double deviation) {
         std::vector<double> middle = sheet.x, x = sheet.x;
         for (Index i = 60; i < sheet.surface.count; ++i) middle[2 * 110 + i] = middle_height, x[2 * 110 + i] = height;
         const std::vector<double> none(sheet.surface.count), deviations(sheet.surface.count, deviation);
-        const bool first = self.stayed_separated(sheet.x.data(), middle.data(), x.data(), deviations, none, thickness),
-                   second = self.stayed_separated(sheet.x.data(), middle.data(), x.data(), none, deviations, thickness);
+        const double *const start = sheet.x.data(), *const end = x.data();
+        const bool first = self.stayed_separated(start, middle.data(), end, {deviations, none}, thickness),
+                   second = self.stayed_separated(start, middle.data(), end, {none, deviations}, thickness);
         return first && second;
     };
     CHECK(stayed(0.04, 0.04, 0.0));
@@ -173,6 +185,30 @@ TEST_CASE("a part that passed another in a frame has not stayed separated") {
     // Its path deviates to where the other half is.
     CHECK(stayed(0.04, 0.04, 0.001));
     CHECK_FALSE(stayed(0.04, 0.04, 0.018));
+}
+
+TEST_CASE("a sheet has not stayed separated if two of its particles together may leave their paths") {
+    Random random;
+    MovingSheet sheet(11, 10);
+    sheet.arrange(flat, 0.0, random);
+    SelfContact self;
+    self.surface = sheet.surface;
+    self.set_sheet(11, 10, 0.1, 0.1);
+    std::vector<double> x = sheet.x;
+    CHECK(self.stayed_separated(sheet.x.data(), x.data(), 0.06, 0.004));
+    CHECK_FALSE(self.stayed_separated(sheet.x.data(), x.data(), 0.07, 0.004));
+    // A fold to the height of the other half, where it ends.
+    for (Index i = 60; i < sheet.surface.count; ++i) sheet.set(x, i, sheet.at(109 - i, 0.0));
+    CHECK_FALSE(self.stayed_separated(sheet.x.data(), x.data(), 0.0, 0.004));
+}
+
+TEST_CASE("single precision separates a sheet far from the origin as one at it") {
+    Random random;
+    MovingSheet sheet(11, 10);
+    sheet.arrange(wrinkled, 0.2, random);
+    CHECK(sheet.stays_apart_in_single(0.01, 0.02));
+    for (double& coordinate : sheet.x) coordinate += 1000.0;
+    CHECK(sheet.stays_apart_in_single(0.01, 0.02));
 }
 
 TEST_CASE("layers whose boxes overlap everywhere end the search") {
