@@ -278,36 +278,65 @@ def test_particle_on_a_layer_is_within_tolerance(
     assert error_of_frames(frames[first:], (8000, 13600), 0.2 * tolerance) <= tolerance
 
 
-def test_particle_between_jaws_is_within_tolerance() -> None:
-    # A jaw that bounces off keeps an error of its speed until it meets the particle again.
-    tolerance, rate = 1.01174324e-7, 52.0
+@pytest.mark.parametrize(
+    (
+        *("rate", "tolerance", "offset", "speed", "stiffness", "opening", "force", "jaw_speed", "thickness"),
+        *("grasp", "first"),
+    ),
+    [
+        # A jaw that bounces off keeps an error of its speed until it meets the particle again.
+        (
+            *(52.0, 1.01174324e-7, 0.004616589394283009, -0.1879237923877149, 5.65600599604881),
+            *(0.06895800546836135, 0.754543772, 1.18869686, 0.023781602, 1, 0),
+        ),
+        # A jaw reaches its stop at the end of a frame, before the next force of any run.
+        (
+            *(16.0, 7.33013745e-8, 0.02934711093113701, -0.22890986754335774, 0.8184142244316501),
+            *(0.12277120851186499, 0.0763076339, 0.199578629, 0.0319662234, 7, 8),
+        ),
+    ],
+)
+def test_particle_between_jaws_is_within_tolerance(
+    rate: float,
+    tolerance: float,
+    offset: float,
+    speed: float,
+    stiffness: float,
+    opening: float,
+    force: float,
+    jaw_speed: float,
+    thickness: float,
+    grasp: int,
+    first: int,
+) -> None:
     springs = {
-        "positions": [[0.0, 0.0, 1.0], [0.0, 0.004616589394283009, 0.0]],
-        "velocities": [[0.0, 0.0, 0.0], [0.0, -0.1879237923877149, 0.0]],
+        "positions": [[0.0, 0.0, 1.0], [0.0, offset, 0.0]],
+        "velocities": [[0.0, 0.0, 0.0], [0.0, speed, 0.0]],
         "masses": 1.0,
         "springs": [[0, 1]],
         "rest_lengths": 0.0,
-        "stiffness": 5.65600599604881,
+        "stiffness": stiffness,
         "k_d0": 0.0,
     }
     parameters = {
         **SPRINGS,
         "rate": rate,
         "tolerance": tolerance,
-        "gravity": [0.0, 0.0, -5.65600599604881],
+        "gravity": [0.0, 0.0, -stiffness],
         "grippers": ["hand"],
         "gripper.mode": "pinch",
         "gripper.max_speed": 0.0,
         "gripper.pad_size": [2.0, 0.1, 4.0],
-        "gripper.opening": 0.06895800546836135,
-        "gripper.force": 0.754543772,
-        "gripper.speed": 1.18869686,
+        "gripper.opening": opening,
+        "gripper.force": force,
+        "gripper.speed": jaw_speed,
         "gripper.friction": [0.0, 0.0],
-        "contact.thickness": 0.023781602,
+        "contact.thickness": thickness,
         "contact.damping": 0.0,
     }
     scene = Scene.from_parameters(parameters, files={"springs.yaml": json.dumps(springs).encode()})
-    frames = unflagged_frames(scene, 52, {0: [Target("hand", [0.0, 0.0, 1.0])], 1: [Grasp("hand", True)]})
+    events: dict[int, list[Event]] = {0: [Target("hand", [0.0, 0.0, 1.0])], grasp: [Grasp("hand", True)]}
+    frames = unflagged_frames(scene, first + round(rate), events)[first:]
     assert error_of_frames(frames, (2000, 3400), 0.1 * tolerance) <= tolerance
 
 

@@ -16,11 +16,11 @@ import attrs
 
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.error import ErrorRule, displacement_by_velocities
-from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
+from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_changes
 from cloth_sim_ros.physics.control.frame_totals import Piece
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.work_budget import WorkBudget
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, ExtrapolationTableau
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 
@@ -219,6 +219,7 @@ class ErrorEstimate:
         end, half_step, t = start.shallow_copy(), 0.5 * self.piece.step, self.tableau.t
         self.tableau.commit(n_runs, end)
         for state, time, duration in ((start, t, -half_step), (end, t + self.piece.length, half_step)):
-            change = missed_velocity_change(plan, state, time, duration)
-            self.end_error += displacement_by_velocities(plan, self.work, time, state.x, change)
+            changes, jaw_change = missed_velocity_changes(plan, state, time, duration)
+            self.end_error += displacement_by_velocities(plan, self.work, time, state.x, changes)
+            self.end_error += VELOCITY_ERROR_TIME * jaw_change
             self.work.add(EVALUATIONS)

@@ -8,6 +8,8 @@ force jump moves the jump there. Therefore this check compares accelerations ove
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from cloth_sim_ros.physics.arithmetic.arrays import combine
@@ -25,8 +27,8 @@ _MISSED_DIFFERENCES = 2.0
 EVALUATIONS = 1 + len(_FRACTIONS)
 
 
-def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float) -> Array:
-    """Return the velocity changes [m/s] by a jump or kink of forces within a half step, about 0 if smooth, (3, n).
+def missed_velocity_changes(plan: Plan, state: State, t: float, half_step: float) -> tuple[Array, float]:
+    """Return what a jump or kink of forces within a half step changes: velocities (3, n), and speeds of jaws [m/s].
 
     A fourth difference of accelerations times the half step is nearly zero for smooth motion. At a kink it vanishes at
     two places in the half step. So there are two, a quarter of the half step apart, and the larger one counts.
@@ -36,14 +38,30 @@ def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float)
         state: at the end of the half step, or at its start.
         t: its time [s].
         half_step: length [s]; negative for a half step that starts with the state.
+
+    Returns:
+        Velocity changes, about 0 if forces are smooth; and the largest change of a jaw's speed, 0 without jaws.
     """
     x, v, memory = state.x, state.v, state.memory
     accelerations = np.empty((EVALUATIONS, *x.shape))
     plan.accelerations(t, x, v, accelerations[0], memory)
-    a = accelerations[0]
+    a, contact = accelerations[0], plan.contact
+    jaws: list[Array] = []
+    if contact is not None and contact.force.jaws:
+        jaws.append(contact.jaw_accelerations(t, x, v, memory))
     for fraction, earlier in zip(_FRACTIONS, accelerations[1:], strict=True):
         dt = fraction * half_step
-        plan.accelerations(t - dt, x - dt * v + (0.5 * dt * dt) * a, v - dt * a, earlier, drift_jaws(memory, -dt))
-    last, next_to_last = (combine(list(part), _WEIGHTS) for part in (accelerations[:-1], accelerations[1:]))
-    is_larger = np.abs(next_to_last) > np.abs(last)
-    return np.where(is_larger, next_to_last, last) * (_MISSED_DIFFERENCES * half_step)
+        state_then = t - dt, x - dt * v + (0.5 * dt * dt) * a, v - dt * a
+        memory_then = drift_jaws(memory, -dt)
+        plan.accelerations(*state_then, earlier, memory_then)
+        if contact is not None and jaws:
+            jaws.append(contact.jaw_accelerations(*state_then, memory_then))
+    factor = _MISSED_DIFFERENCES * half_step
+    jaw_change = float(np.abs(_largest_differences(jaws) * factor).max()) if jaws else 0.0
+    return _largest_differences(accelerations) * factor, jaw_change
+
+
+def _largest_differences(values: Sequence[Array]) -> Array:
+    """Return the larger of two fourth differences of values at the six times."""
+    last, next_to_last = (combine(list(part), _WEIGHTS) for part in (values[:-1], values[1:]))
+    return np.where(np.abs(next_to_last) > np.abs(last), next_to_last, last)
