@@ -171,7 +171,7 @@ class ErrorEstimate:
     def confirm(self) -> None:
         """Raise errors that are small by chance, because combinations of more runs have far larger ones.
 
-        A later one that is approximate is measured first. In a rough motion all errors must fit instead. An estimate
+        A later one that is approximate is measured first. In rough motion it raises nothing. An estimate
         beyond the largest number of runs only confirms.
         """
         errors, trust_factor = self.errors, 1.0 if self.may_coincide else CONSTANTS.estimate_trust_factor
@@ -198,7 +198,7 @@ class ErrorEstimate:
     def _first_fitting(self) -> int:
         """Return the chosen number of runs if its error fits the budget, else the least that fits, else the chosen.
 
-        If the motion is rough, the errors of all further runs must fit too.
+        In rough motion another number fits only if the errors of all further runs fit too.
         """
         fits = [error <= self.allowed for error in self.errors]
         if fits[self.chosen_runs - 1]:

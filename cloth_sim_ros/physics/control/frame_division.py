@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Division of a frame into stretches, equal pieces and steps, and its estimated work.
 
-A stretch is a part of the frame that is divided into equal pieces. It is the whole frame, or what halving in a rough
-motion has left. Times count from the start of the frame.
+A stretch is a part of the frame that is divided into equal pieces. It is the whole frame, or what halving or a rejected
+rough piece has left. Times count from the start of the frame.
 """
 
 from __future__ import annotations

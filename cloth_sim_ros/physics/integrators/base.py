@@ -52,7 +52,7 @@ class Advance(NamedTuple):
     limited_by: str = ""
     #: Estimated largest position error of a particle over the advance [m]; None without a tolerance.
     error: float | None = None
-    #: Number of steps that were accepted although their error exceeds the error budget.
+    #: Above 0 if the frame is flagged: its error exceeds its budget, or steps of it have no accurate solution.
     flagged: int = 0
     #: The choice of integrator and step, in words.
     reason: str = ""
