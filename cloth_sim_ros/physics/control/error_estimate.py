@@ -171,8 +171,8 @@ class ErrorEstimate:
     def confirm(self) -> None:
         """Raise errors that are small by chance, because combinations of more runs have far larger ones.
 
-        A later one that is approximate is measured first. In rough motion it raises nothing. An estimate
-        beyond the largest number of runs only confirms.
+        A later one that is approximate is measured first. In rough motion it raises nothing, because
+        combinations amplify the error of a jump. An estimate beyond the largest number of runs only confirms.
         """
         errors, trust_factor = self.errors, 1.0 if self.may_coincide else CONSTANTS.estimate_trust_factor
         for k in range(0 if self.is_rough else len(errors) - 1, 0, -1):
