@@ -149,8 +149,9 @@ private:
 ///
 /// A regular sheet must stay separated from itself (`SelfContact::stays_separated`) after the start of the frame. In
 /// each run, no two particles may leave the paths of their velocities at the start by more than the margin of that.
-/// Otherwise the sheet must have been separated on its path to the end (`SelfContact::stayed_separated`). If it is not
-/// by the bounds of all particles together, the run is repeated, and records the path of each.
+/// Otherwise the sheet must have been separated on its path to the end (`SelfContact::stayed_separated`), by the bounds
+/// of all particles together, or by the path of each. If the record of a run does not show it, the run is repeated with
+/// the other record, so that no result depends on which of them was the first.
 ///
 /// Where that is not clear at the start, no pair may be nearer than the thickness and the distance covered at twice the
 /// largest relative speed, plus a margin. No step of a run may have a larger relative speed.
@@ -161,21 +162,22 @@ class SelfCulling {
 public:
     SelfCulling(Plan& plan, double duration, const double* x0, const double* v0);
     bool is_active() const { return plan_.self_culled; }
-    /// Whether the first test applies, and runs record the path of each particle at once.
+    /// Whether the first test applies; and whether runs then record the path of each particle, else bounds of all.
     bool is_separated() const { return is_separated_; }
-    bool records_paths() const { return records_paths_; }
+    bool records_paths() const;
     /// Whether a run with positions x and velocities v at its end, and this motion, violates the assumptions.
     bool is_violated(const double* x, const double* v, MotionRecord& motion) const;
-    /// Whether a run that seems to violate them has to be repeated with the path of each particle. The next frames
-    /// record it at once.
-    bool requires_paths(const MotionRecord& motion) const;
+    /// Whether the other record may show that a run does not violate them.
+    bool needs_other_record() const;
+    /// Let the next frames record paths, or bounds.
+    void set_record(bool has_paths) const;
     void disable() { plan_.self_culled = false; }
 
 private:
     Plan& plan_;
     const double* x0_;
     double duration_, speed_limit_ = 0.0;
-    bool is_separated_ = false, records_paths_ = false;
+    bool is_separated_ = false;
 };
 
 /// Let the next runs evaluate contact of all features; of none.

@@ -221,12 +221,13 @@ public:
             return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
         };
         if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v))) {
-            checked_limits_ = limits;
+            checked_limits_ = {-1.0, -1.0};
             checked_x_.assign(x, x + size);
             checked_v_.assign(v, v + size);
             // What single precision shows, double precision would show too.
             is_separated_ = single_separation_.separated_motions(x, {{v, duration}}, limits[1]) != 0 ||
                             separation_.separated_motions(x, {{v, duration}}, limits[1]) != 0;
+            checked_limits_ = limits;
         }
         return is_separated_;
     }
@@ -244,8 +245,8 @@ public:
                                                      {ways_to(x, middle, 1), 1.0, deviations[1].data()}},
                                                     thickness) == 3;
     }
-    /// Let the next frames record the paths of particles.
-    void record_paths() { path_frames_ = max_path_frames; }
+    /// Let the next frames record the paths of particles, or not.
+    void record_paths(bool enabled) { path_frames_ = enabled ? max_path_frames : 0; }
     /// Whether the present frame records them; counts it.
     bool records_paths() { return path_frames_ > 0 && path_frames_-- > 0; }
     /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact

@@ -64,6 +64,17 @@ struct SurfaceContact {
     const FeaturesAt* from = nullptr;
     using Number = V;
 };
+/// Whether n numbers are finite.
+inline bool is_finite(const double* a, std::int64_t n) {
+    using V = vec<double>;
+    V differences{};
+    double sum = 0.0;
+    std::int64_t i = 0;
+    for (; i + lanes<double> <= n; i += lanes<double>) differences += load(a + i) - load(a + i);
+    for (; i < n; ++i) sum += a[i] - a[i];
+    for (int lane = 0; lane < lanes<double>; ++lane) sum += differences[lane];
+    return sum == 0.0;
+}
 /// Upper bound of the relative speed of two particles at velocities v, (3, n).
 inline double max_relative_speed(const Plan& plan, const double* v) {
     const std::int64_t n = plan.count;
@@ -703,10 +714,7 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
     SelfContact& self = *plan.self;
     plan.self_culled = is_separated_ =
         !is_surely_in_contact(plan, x0) && self.stays_separated(x0, v0, plan.contacts.thickness, duration);
-    if (is_separated_) {
-        records_paths_ = self.records_paths();
-        return;
-    }
+    if (is_separated_) return;
     const Array<double> positions = quads_of(plan, x0);
     speed_limit_ = 2.0 * max_relative_speed(plan, v0) + SelfContact::speed_margin;
     const double margin = speed_limit_ * duration;
@@ -721,16 +729,23 @@ bool SelfCulling::is_violated(const double* x, const double* v, MotionRecord& mo
     const double thickness = plan_.contacts.thickness;
     if (motion.keeps_paths())
         return !self.stayed_separated(x0_, motion.middle(), x, motion.half_deviations(plan_.rank), thickness);
+    // Bounds leave out what is not a number.
+    if (!is_finite(x, 3 * plan_.count) || !is_finite(v, 3 * plan_.count)) return true;
     if (motion.max_relative_deviation() <= SelfContact::max_deviation(duration_)) return false;
     // Relative velocities differ by up to twice their largest change.
     return !self.stayed_separated(x0_, x, 0.5 * duration_ * motion.max_relative_change(), thickness);
 }
 
-bool SelfCulling::requires_paths(const MotionRecord& motion) const {
-    const bool required = plan_.self_culled && is_separated_ && !motion.keeps_paths();
-    if (required) plan_.self->record_paths();
-    return required;
+bool SelfCulling::records_paths() const {
+    // Velocities of prescribed particles at the steps do not bound how they move between them.
+    return is_separated_ && (plan_.self->records_paths() || plan_.grips.has_prescribed);
 }
+
+bool SelfCulling::needs_other_record() const {
+    return plan_.self_culled && is_separated_ && !plan_.grips.has_prescribed;
+}
+
+void SelfCulling::set_record(bool has_paths) const { plan_.self->record_paths(has_paths); }
 
 FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0)
     : plan_(plan) {

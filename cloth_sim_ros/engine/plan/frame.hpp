@@ -140,7 +140,7 @@ public:
             .paths = is_separated && with_paths,
         };
     }
-    /// Whether runs record the path of each particle at once.
+    /// Whether runs record the path of each particle; call it once a frame.
     bool records_paths() const { return self_.records_paths(); }
     /// Whether a run, which records its motion, violates the assumptions.
     bool is_violated(const Run& run) const {
@@ -148,8 +148,13 @@ public:
         return violates_obstacles(run) || self_.is_violated(run.x, run.v, *run.motion) ||
                features_.is_violated(run.v, *run.motion);
     }
-    /// Whether a run that seems to violate them has to be repeated with the path of each particle.
-    bool requires_paths(const Run& run) const { return !violates_obstacles(run) && self_.requires_paths(*run.motion); }
+    /// Whether another record may show that a run does not violate them.
+    bool needs_other_record(const Run& run) const {
+        const bool violates_others = violates_obstacles(run) || features_.is_violated(run.v, *run.motion);
+        return !violates_others && self_.needs_other_record();
+    }
+    /// Let the next frames record the path of each particle, or bounds of all.
+    void set_record(bool has_paths) const { self_.set_record(has_paths); }
     /// Leave out no contact that the run concerns.
     void disable_for(const Run& run) {
         if (violates_obstacles(run)) obstacles_.disable();
@@ -173,10 +178,11 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
     std::vector<Run> runs = runs_of(plan, frame);
     const auto requested = static_cast<std::size_t>(frame.combined);
     FrameCulling culling(plan, frame);
+    const bool records_paths = culling.is_active() && culling.records_paths();
     if (plan.motions.size() < runs.size()) plan.motions.resize(runs.size());
     for (std::size_t k = 0; culling.is_active() && k < runs.size(); ++k) {
         runs[k].motion = &plan.motions[k];
-        runs[k].motion->record(culling.needs(culling.records_paths()));
+        runs[k].motion->record(culling.needs(records_paths));
     }
     const std::int64_t size_of_record = plan.grips.grippers * record_numbers + 2 + contact_record_size(plan);
     // Prescribed particles are at their points at the end, exactly.
@@ -193,12 +199,13 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
             const RunStatus done = is_concurrent ? RunStatus::ok : execute_run(plan, runs[k]);
             if (done != RunStatus::ok) return done;
             if (!is_violated(runs[k])) continue;
-            if (!culling.requires_paths(runs[k])) break;
-            runs[k].motion->record(culling.needs(true));
+            if (!culling.needs_other_record(runs[k])) break;
+            runs[k].motion->record(culling.needs(!records_paths));
             std::fill_n(runs[k].gripper_record, size_of_record, 0.0);
             const RunStatus repeated = execute_run(plan, runs[k]);
             if (repeated != RunStatus::ok) return repeated;
             if (is_violated(runs[k])) break;
+            culling.set_record(!records_paths);
         }
         drops = drops || k < count;
         if (k >= requested) break;

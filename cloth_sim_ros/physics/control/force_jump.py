@@ -61,7 +61,7 @@ def missed_velocity_changes(plan: Plan, state: State, t: float, half_step: float
     return _largest_differences(accelerations) * factor, jaw_change
 
 
-def _largest_differences(values: Sequence[Array]) -> Array:
+def _largest_differences(values: Sequence[Array] | Array) -> Array:
     """Return the larger of two fourth differences of values at the six times."""
     last, next_to_last = (combine(list(part), _WEIGHTS) for part in (values[:-1], values[1:]))
     return np.where(np.abs(next_to_last) > np.abs(last), next_to_last, last)
