@@ -248,7 +248,11 @@ public:
     /// Let the next frames record the paths of particles, or not.
     void record_paths(bool enabled) { path_frames_ = enabled ? max_path_frames : 0; }
     /// Whether the present frame records them; counts it.
-    bool records_paths() { return path_frames_ > 0 && path_frames_-- > 0; }
+    bool records_paths() {
+        if (path_frames_ == 0) return false;
+        --path_frames_;
+        return true;
+    }
     /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact
     /// with itself. False for any other surface.
     bool is_clear(const double* x, double thickness) { return separation_.is_clear(x, thickness); }
