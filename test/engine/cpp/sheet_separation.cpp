@@ -122,6 +122,36 @@ TEST_CASE("pairs that are found to stay apart do so, now, later and before") {
     CHECK(n_unclear > 100);
 }
 
+TEST_CASE("two cells of layers that touch nowhere else are found near each other") {
+    constexpr Index rows = 8, columns = 8, half = columns / 2;
+    int n_clear = 0;
+    for (Index r = 0; r + 1 < rows; ++r)
+        for (Index c = 0; c + 1 < half; ++c)
+            for (Index r2 = 0; r2 + 1 < rows; ++r2)
+                for (Index c2 = half; c2 + 1 < columns; ++c2) {
+                    MovingSheet sheet(rows, columns);
+                    for (Index i = 0; i < rows * columns; ++i) {
+                        // Columns are folded, 0.3 m apart. A cell of each half is bent to the middle, one above the other.
+                        const Index row = i / columns, column = i % columns;
+                        const bool is_upper = column >= half;
+                        const auto is_corner_of = [&](Index a, Index b) {
+                            return (row == a || row == a + 1) && (column == b || column == b + 1);
+                        };
+                        Vec3<double> p{0.1 * (is_upper ? columns - 1 - column : column), 0.1 * row,
+                                       is_upper ? 0.3 : 0.0};
+                        if (is_corner_of(r, c)) p.z = 0.15;
+                        if (is_corner_of(r2, c2))
+                            p = {0.1 * c + 0.03 + 0.04 * (1 + c2 - column), 0.1 * r + 0.03 + 0.04 * (row - r2), 0.16};
+                        sheet.set(sheet.x, i, p);
+                    }
+                    n_clear += sheet.stays_apart(0.0, 0.004) && sheet.stays_apart_in_single(0.0, 0.004);
+                    CHECK_FALSE(sheet.stays_apart(0.0, 0.012));
+                    CHECK_FALSE(sheet.stays_apart_in_single(0.0, 0.012));
+                }
+    // The work limit ends the other searches.
+    CHECK(n_clear > 100);
+}
+
 TEST_CASE("a sheet that is far from itself is found so, and one near itself is not") {
     Random random;
     MovingSheet sheet(11, 10);
@@ -207,7 +237,7 @@ TEST_CASE("single precision separates a sheet far from the origin as one at it")
     MovingSheet sheet(11, 10);
     sheet.arrange(wrinkled, 0.2, random);
     CHECK(sheet.stays_apart_in_single(0.01, 0.02));
-    for (double& coordinate : sheet.x) coordinate += 1000.0;
+    for (double& coordinate : sheet.x) coordinate += 1e5;
     CHECK(sheet.stays_apart_in_single(0.01, 0.02));
 }
 

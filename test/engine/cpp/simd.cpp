@@ -251,4 +251,15 @@ TEST_CASE("the guard rounds to nearest and restores the mode of its caller") {
     CHECK(restored == upward);
 }
 
+TEST_CASE_TEMPLATE("pairs of two vectors are split into even and odd numbers", T, double, float) {
+    constexpr int L = lanes<T>;
+    vec<T> first, second, even, odd;
+    for (int k = 0; k < L; ++k) first[k] = static_cast<T>(k), second[k] = static_cast<T>(L + k);
+    split_pairs(first, second, even, odd);
+    for (int k = 0; k < L; ++k) {
+        CHECK(even[k] == static_cast<T>(2 * k));
+        CHECK(odd[k] == static_cast<T>(2 * k + 1));
+    }
+}
+
 }  // namespace cloth::tests
