@@ -302,8 +302,10 @@ def test_an_estimate_measures_one_displacement(monkeypatch: pytest.MonkeyPatch) 
     assert sorted(calls)[len(calls) // 2] == 1
 
 
-def test_divided_frame_ends_exactly() -> None:
-    duration, state = 1.0 / 3.0, State([[0.0, 0.0, 0.0]])
+# The lengths of the pieces add up to the second duration, and not to the first.
+@pytest.mark.parametrize("duration", [0.23, 1.0 / 3.0])
+def test_divided_frame_ends_exactly(duration: float) -> None:
+    state = State([[0.0, 0.0, 0.0]])
     plan = compile(Model([1.0], []))
     stability, work = StabilityRule(plan, StabilityState.load(state), state.x), WorkBudget(plan, 0.0, duration, 1.0)
     division = FrameDivision(plan, state, 0.0, duration, stability, work, has_tolerance=True)
