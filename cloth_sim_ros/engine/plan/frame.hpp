@@ -38,16 +38,34 @@ inline void combine(std::int64_t arrays, const double* const* from, const double
     }
 }
 
+/// Largest distance of n particles at positions x from y, (3, n); infinite if one is not finite.
 inline double largest_distance(const double* x, const double* y, std::int64_t n) {
+    using V = vec<double>;
+    const auto square_of = [&](std::int64_t i, auto&& read) CLOTH_INLINED {
+        const auto a = read(x + i) - read(y + i), b = read(x + n + i) - read(y + n + i),
+                   c = read(x + 2 * n + i) - read(y + 2 * n + i);
+        return fma(c, c, fma(b, b, a * a));
+    };
+    constexpr double infinity = std::numeric_limits<double>::infinity();
+    V squares{}, n_not_finite{};
+    std::int64_t i = 0;
+    for (; i + lanes<double> <= n; i += lanes<double>) {
+        const V square = square_of(i, [](const double* from) CLOTH_INLINED { return load(from); });
+        squares = larger(square, squares);
+        n_not_finite += select(square < splat<V>(infinity), V{}, splat<V>(1.0));
+    }
     double max_square = 0.0;
     bool not_finite = false;
-    for (std::int64_t i = 0; i < n; ++i) {
-        const double a = x[i] - y[i], b = x[n + i] - y[n + i], c = x[2 * n + i] - y[2 * n + i];
-        const double square = fma(c, c, fma(b, b, a * a));
-        max_square = square > max_square ? square : max_square;
-        not_finite |= !(square < std::numeric_limits<double>::infinity());
+    for (int lane = 0; lane < lanes<double>; ++lane) {
+        max_square = larger<double>(squares[lane], max_square);
+        not_finite |= n_not_finite[lane] != 0.0;
     }
-    return not_finite ? std::numeric_limits<double>::infinity() : root(max_square);
+    for (; i < n; ++i) {
+        const double square = square_of(i, [](const double* from) { return *from; });
+        max_square = square > max_square ? square : max_square;
+        not_finite |= !(square < infinity);
+    }
+    return not_finite ? infinity : root(max_square);
 }
 
 /// A quarter of the largest difference of a particle's velocity change from v0 to v and `ratio` times that from v1 to v0.
