@@ -22,7 +22,9 @@ class SelfVerletList : public PairLists {
 public:
     /// The surface must outlive the lists. `columns`: see Patches. Without `caches` each call rebuilds them, for tests.
     SelfVerletList(const Surface& surface, std::int64_t columns, bool caches)
-        : surface(surface), caches(caches), patches_(surface, columns) {}
+        : surface(surface), caches(caches), patches_(surface, columns) {
+        neighborhoods_.push_back(std::make_unique<Neighborhood>());
+    }
 
     const Surface& surface;
     bool caches;
@@ -37,9 +39,9 @@ public:
         if (!(thickness + margin < 4.0 * surface.shortest) || !check_positions(x, thickness)) return false;
         for (ListLevel* level : levels()) level->margin_left = -1.0;
         const bool use_inner = inner_covers(x, margin), use_middle = margin <= max_inner_margin * thickness;
-        SurfacePairs& from = use_inner ? inner_.pairs : use_middle ? middle_.pairs : outer_.pairs;
-        if (use_inner || !(use_middle ? update_middle(x, margin, 0.0) : update_outer(x, margin)))
-            from.measure(surface, x);
+        const bool is_measured = !use_inner && (use_middle ? update_middle(x, margin, 0.0) : update_outer(x, margin));
+        SurfacePairs& from = use_inner ? inner_.pairs : use_middle ? present().middle.pairs : present().outer.pairs;
+        if (!is_measured) from.measure(surface, x);
         select(from, thickness + margin, 0.5 * thickness + margin);
         return true;
     }
@@ -94,13 +96,20 @@ private:
         void invalidate() { is_valid = false, margin_left = -1.0; }
     };
 
-    std::array<ListLevel*, 3> levels() { return {&outer_, &middle_, &inner_}; }
-    /// Return whether positions are finite. Clears lists of another thickness.
+    /// The outer and the middle level, and the patches of the pairs of the outer one.
+    struct Neighborhood {
+        ListLevel outer, middle;
+        Patches::Distances listed;
+    };
+    Neighborhood& present() { return *neighborhoods_.front(); }
+    std::array<ListLevel*, 3> levels() { return {&present().outer, &present().middle, &inner_}; }
+    /// Return whether positions are finite. Invalidates lists of another thickness.
     bool check_positions(const double* x, double thickness) {
         MotionBound motion;
         motion.include(x, nullptr, surface.count);
         if (!(motion.diameter() < 1e30)) return false;
-        for (ListLevel* level : levels()) level->is_valid = level->is_valid && thickness == thickness_;
+        if (thickness != thickness_)
+            for (const auto& lists : neighborhoods_) lists->outer.invalidate();
         thickness_ = thickness;
         return true;
     }
@@ -111,50 +120,74 @@ private:
         if (!(margin <= level.margin_left)) level.margin_left = patches_.bound(level.omitted, x) - thickness_;
         return margin <= level.margin_left;
     }
+    /// Whether the outer list contains all pairs, after one of another neighborhood that does has taken its place.
+    bool outer_covers(const double* x, double margin) {
+        for (std::size_t k = 0; k < neighborhoods_.size(); ++k) {
+            ListLevel& outer = neighborhoods_[k]->outer;
+            // The surface has moved since it was the present one.
+            if (k) outer.margin_left = -1.0;
+            if (!covers(outer, x, margin)) continue;
+            if (k) use(k);
+            return true;
+        }
+        return false;
+    }
+    /// Let a neighborhood be the present one.
+    void use(std::size_t k) {
+        std::rotate(neighborhoods_.begin(), neighborhoods_.begin() + k, neighborhoods_.begin() + k + 1);
+        present().middle.margin_left = -1.0;
+        inner_.invalidate();
+    }
     /// Whether the inner list contains all pairs.
     bool inner_covers(const double* x, double margin) {
-        return covers(outer_, x, margin) && covers(middle_, x, margin) && covers(inner_, x, margin);
+        return outer_covers(x, margin) && covers(present().middle, x, margin) && covers(inner_, x, margin);
     }
     /// Let a list contain all pairs within the thickness and a margin. Return whether it is rebuilt, and measured.
     bool update_outer(const double* x, double margin) {
-        if (covers(outer_, x, margin)) return false;
-        for (ListLevel* level : levels()) level->invalidate();
+        if (outer_covers(x, margin)) return false;
+        if (caches && neighborhoods_.size() < max_neighborhoods)
+            neighborhoods_.push_back(std::make_unique<Neighborhood>());
+        use(neighborhoods_.size() - 1);
+        auto& [outer, middle, listed] = present();
+        outer.invalidate(), middle.invalidate();
         // The longer its range, the longer it is valid; but beyond the shortest edge it contains all neighbours in a
         // flat sheet.
         const double range = thickness_ + margin, longer = smaller(1.5 * range, max_reach * surface.shortest);
         // Edges have half the thickness.
-        outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
-                           0.5 * thickness_);
-        patches_.set_beyond(outer_.omitted, surface, x, outer_.pairs.reach);
-        patches_.clear(listed_, x);
-        for (std::size_t k = 0; k < outer_.pairs.triangles.size(); ++k)
-            patches_.include<false>(listed_, outer_.pairs.triangles.first[k], outer_.pairs.triangles.second[k], 0.0);
-        for (std::size_t k = 0; k < outer_.pairs.edges.size(); ++k)
-            patches_.include<true>(listed_, outer_.pairs.edges.first[k], outer_.pairs.edges.second[k], 0.0);
-        patches_.finish(listed_);
-        outer_.margin_left = outer_.pairs.reach - thickness_;
-        outer_.is_valid = true;
+        outer.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
+                          0.5 * thickness_);
+        patches_.set_beyond(outer.omitted, surface, x, outer.pairs.reach);
+        patches_.clear(listed, x);
+        for (std::size_t k = 0; k < outer.pairs.triangles.size(); ++k)
+            patches_.include<false>(listed, outer.pairs.triangles.first[k], outer.pairs.triangles.second[k], 0.0);
+        for (std::size_t k = 0; k < outer.pairs.edges.size(); ++k)
+            patches_.include<true>(listed, outer.pairs.edges.first[k], outer.pairs.edges.second[k], 0.0);
+        patches_.finish(listed);
+        outer.margin_left = outer.pairs.reach - thickness_;
+        outer.is_valid = true;
         return true;
     }
     bool update_middle(const double* x, double margin, double extra) {
-        if (covers(outer_, x, margin) && covers(middle_, x, margin)) return false;
+        if (outer_covers(x, margin) && covers(present().middle, x, margin)) return false;
         margin += larger(extra, min_middle_margin * thickness_);
-        if (!update_outer(x, margin)) outer_.pairs.measure(surface, x);
-        middle_.invalidate(), inner_.invalidate();
+        const bool is_measured = update_outer(x, margin);
+        auto& [outer, middle, listed] = present();
+        if (!is_measured) outer.pairs.measure(surface, x);
+        middle.invalidate(), inner_.invalidate();
         // Of the many pairs that are omitted, the nearest of each two patches is little further than the margin.
-        middle_.pairs.select(outer_.pairs, thickness_ + margin, 0.5 * thickness_ + margin);
-        patches_.set_uniform(middle_.omitted, listed_, x, thickness_ + margin);
-        middle_.margin_left = margin;
-        middle_.is_valid = true;
+        middle.pairs.select(outer.pairs, thickness_ + margin, 0.5 * thickness_ + margin);
+        patches_.set_uniform(middle.omitted, listed, x, thickness_ + margin);
+        middle.margin_left = margin;
+        middle.is_valid = true;
         return true;
     }
     void rebuild_inner(const double* x, double margin) {
         const double extra =
             smaller(larger(inner_margin_factor * margin, min_inner_margin * thickness_), max_inner_margin * thickness_);
         margin += extra;
-        if (!update_middle(x, margin, extra)) middle_.pairs.measure(surface, x);
+        if (!update_middle(x, margin, extra)) present().middle.pairs.measure(surface, x);
         inner_.invalidate();
-        prune(x, middle_, margin, inner_);
+        prune(x, present().middle, margin, inner_);
         gaps.set_candidates(surface, inner_.pairs.triangles);
         inner_.margin_left = margin;
         inner_.is_valid = true;
@@ -170,10 +203,12 @@ private:
                                    root(near_edges.square[k]) + 0.5 * thickness_);
         patches_.finish(to.omitted);
     }
-    /// Each level is a part of the one before.
-    ListLevel outer_, middle_, inner_;
+    /// Neighborhoods at recent positions, the present one first: runs of a frame pass the same positions. Each level is
+    /// a part of the one before; the inner one belongs to the present middle one.
+    static constexpr std::size_t max_neighborhoods = 6;
+    std::vector<std::unique_ptr<Neighborhood>> neighborhoods_;
+    ListLevel inner_;
     Patches patches_;
-    Patches::Distances listed_;  ///< patches of the pairs of the outer level
     double thickness_ = 0.0;
 };
 

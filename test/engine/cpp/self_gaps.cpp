@@ -228,6 +228,50 @@ TEST_CASE("no bit of a run depends on the age of its lists") {
         }
 }
 
+TEST_CASE("no bit of a run depends on runs that passed the same positions") {
+    // A layer moves at another speed than the rest.
+    Random random;
+    for (const int kind : {1, 2})
+        for (const int search : {0, 1, 3, 8}) {
+            constexpr Index rows = 12;
+            constexpr double d = 0.03;
+            Sheet sheet(rows);
+            sheet.arrange(kind, random);
+            const std::vector<double> start = sheet.x;
+            SelfVerletList lists[2] = {{sheet.surface, rows, true}, {sheet.surface, rows, false}};
+            double most = 0.0;
+            for (int pass = 0; pass < 8; ++pass) {
+                SelfRun runs[2] = {{lists[0], d, damping, duration}, {lists[1], d, damping, duration}};
+                const double speed = pass % 3 ? 0.008 : 0.006;
+                for (int step = 0; step < 24; ++step) {
+                    std::vector<double> v(sheet.x.size(), 0.0);
+                    for (Index i = 0; i < sheet.surface.count; ++i) {
+                        const bool moves = i >= sheet.surface.count / 2;
+                        for (int c = 0; c < 3; ++c)
+                            sheet.x[4 * i + c] = start[4 * i + c] + (c && moves ? speed * step : 0.0);
+                        v[4 * i + 2] = moves ? 0.3 : 0.0;
+                    }
+                    std::vector<double> f[2];
+                    for (int k = 0; k < 2; ++k) {
+                        f[k].assign(sheet.x.size(), 0.0);
+                        runs[k].add(step, sheet.x.data(), v.data(), f[k].data(), nullptr);
+                        if (search && step % search == 0)
+                            CHECK(lists[k].find(sheet.x.data(), d, (step % 5 ? 0.1 : 0.8) * d));
+                    }
+                    most = std::max(most, largest(f[0]));
+                    for (std::size_t i = 0; i < f[0].size(); ++i) CHECK(has_same_bits(f[0][i], f[1][i]));
+                    if (!search || step % search) continue;
+                    CHECK(lists[0].triangles.first == lists[1].triangles.first);
+                    CHECK(lists[0].triangles.second == lists[1].triangles.second);
+                    CHECK(lists[0].edges.first == lists[1].edges.first);
+                    CHECK(lists[0].edges.second == lists[1].edges.second);
+                }
+                CHECK(has_same_bits(runs[0].gap(), runs[1].gap()));
+            }
+            CHECK(most > 0.0);
+        }
+}
+
 TEST_CASE("edges that alone come near are found in time") {
     // Two triangles that stand on each other, edge on edge.
     constexpr double d = 0.03;
@@ -264,6 +308,13 @@ TEST_CASE("edges that alone come near are found in time") {
             CHECK(lists.find(positions(height).data(), d, 0.2 * d));
             CHECK(lists.edges.size() == (height < 0.1 ? 1 : 0));
             CHECK(lists.has_no_pairs(positions(height).data(), d, 0.2 * d) == (height > 0.1));
+        }
+        // Runs that begin there, in turn.
+        for (const double height : {0.0145, 0.3, 0.0145, 0.3, 0.0145}) {
+            SelfRun next(lists, d, damping, duration);
+            std::fill(f.begin(), f.end(), 0.0);
+            next.add(0, positions(height).data(), v.data(), f.data(), nullptr);
+            CHECK((f[2] != 0.0) == (height < 0.5 * d));
         }
     }
 }
