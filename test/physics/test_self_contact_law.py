@@ -115,6 +115,55 @@ def test_anchored_particles_push_and_are_not_pushed():
     assert ends[0][2, 25:].max() > 0.0
 
 
+@pytest.mark.parametrize("slip", [0.0, 0.5, 3.0])
+def test_layers_that_meet_within_an_interval_change_the_jerk(slip):
+    triangles, rest_positions, x, masses = own.sheets(0.0, 2.0 * THICKNESS, shift=(0.003, 0.004))
+    plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
+    away, v, speed = x + [0.0, 0.0, 1.0] * (x[:, 2:] > 0.0), np.zeros_like(x), 1.2
+    v[25:] = slip, 0.0, -speed
+    x, away, v = (np.ascontiguousarray(array.T) for array in (x, away, v))
+    for ends in ((x, v, away, v), (away, v, x, -v)):
+        early, late = (
+            plan.contact.jerk_change(0.0, factor * THICKNESS / speed, ends, {})[:, 25:] for factor in (0.99, 1.01)
+        )
+        least = np.linalg.norm(late, axis=0).min()
+        assert least > 0.0
+        assert np.abs(early).max() < 1e-6 * least
+
+
+@pytest.mark.parametrize("slip", [0.0, 2.0])
+def test_edges_that_meet_within_an_interval_change_the_jerk(slip):
+    # Two edges across each other, 29.7 mm apart: edges have half the thickness.
+    rods = np.array([[0, 1, 2], [3, 4, 5]])
+    x = np.array([[-1, 0, 0], [1, 0, 0], [0, 0, -9], [0, -1, 0.0297], [0, 1, 0.0297], [0, 0, 9]], dtype=float)
+    plan, v, speed = compile(own.alone(rods, x, np.ones(6), 0.05)), np.zeros_like(x), 2.0
+    v[3:] = 0.0, slip, -speed
+    x, v = np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)
+    away = x + np.array([[0.0], [0.0], [10.0]]) * (np.arange(6) > 2)
+    assert not plan.contact.jerk_change(0.0, 2.3e-3, (x, v, away, v), {}).any()
+    assert plan.contact.jerk_change(0.0, 5e-3, (x, v, away, v), {})[2, 3:5].all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_jerk_of_a_grid_is_that_of_its_triangles(seed):
+    rng = np.random.default_rng(seed)
+    plans, arrays = [], []
+    for listed in (False, True):
+        model, places, velocities = own.folded(10, radius=0.003 + 0.001 * seed, speed=0.5, listed=listed)
+        plans.append(compile(model))
+        arrays.append((places, velocities))
+    (x, v), _ = arrays
+    v = v + rng.normal(scale=0.3, size=v.shape)
+    x, v = np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)
+    n_changed = []
+    for duration in (1e-4, 2e-3, 5e-3, 1e-2, 2e-2, 4e-2):
+        changes = [plan.contact.jerk_change(0.0, duration, (x, v, x, -v), {}) for plan in plans]
+        assert changes[0] == pytest.approx(changes[1], rel=1e-9, abs=1e-9 * np.abs(changes[1]).max())
+        n_changed.append(np.count_nonzero(changes[0].any(axis=0)))
+    assert n_changed == sorted(n_changed)
+    assert n_changed[0] == 0 < n_changed[-1]
+
+
 @pytest.mark.parametrize("seed", [5, 6])
 def test_derivative_products_are_those_of_differences(seed):
     _, plan, x, _ = layers(seed=seed)

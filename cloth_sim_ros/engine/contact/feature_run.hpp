@@ -24,7 +24,7 @@ inline void for_each_feature_contact(const Surface& s, const FeatureVerletList& 
         bound->add_approaching(s, corners, corner, weight, scaling.gap(gap) - law.thickness(false),
                                scaling.closing(gap, speed), duration);
     };
-    const auto point = [&](Index k, const Index* begin, const Index* end) {
+    const auto point = [&](Index k, const Index* begin, const Index* end, double) {
         law.particle(s, ~k, begin, end, at, velocity, m);
         if (!m.gaps.empty()) visit(m);
         if constexpr (std::is_same_v<V, double>)

@@ -280,6 +280,11 @@ public:
                                                      {ways_to(x, middle, 1), 1.0, deviations[1].data()}},
                                                     thickness) == 3;
     }
+    /// Whether it is clear without a search for pairs that no two parts of a sheet come nearer than a distance [m] within
+    /// a duration [s], which may be negative, even if their relative speed closed their distance.
+    bool stays_distant(const double* x, const double* v, double distance, double duration) {
+        return single_separation_.separated_motions(x, {{v, duration, nullptr, true}}, distance) != 0;
+    }
     /// Let the next frames record the paths of particles, or not.
     void record_paths(bool enabled) { path_frames_ = enabled ? max_path_frames : 0; }
     /// Whether the present frame records them; counts it.
@@ -317,26 +322,32 @@ private:
     bool caches_ = true;
 };
 
-/// Call particle(i, begin, end) with each particle of pairs whose squared distance is below that of `distance`, and
-/// with their triangles.
+/// Call particle(i, begin, end, nearest) with each particle of pairs whose squared distance is below that of `distance`,
+/// with their triangles, and with the squared distance of the nearest one.
 template <class F>
 inline void for_each_particle(const PairList& pairs, const std::vector<double>& square, double distance, F&& particle) {
     std::vector<Index> triangles;
     for (std::size_t first = 0, last; first < pairs.size(); first = last) {
         triangles.clear();
+        double nearest = std::numeric_limits<double>::infinity();
         for (last = first; last < pairs.size() && pairs.first[last] == pairs.first[first]; ++last)
-            if (square[last] < distance * distance) triangles.push_back(pairs.second[last]);
-        if (!triangles.empty()) particle(pairs.first[first], triangles.data(), triangles.data() + triangles.size());
+            if (square[last] < distance * distance) {
+                triangles.push_back(pairs.second[last]);
+                nearest = smaller(square[last], nearest);
+            }
+        if (!triangles.empty())
+            particle(pairs.first[first], triangles.data(), triangles.data() + triangles.size(), nearest);
     }
 }
-/// Call particle(i, begin, end) with each particle in contact and its triangles, and edge(corners) with each pair of
-/// edges in contact, after `find`. A reduced thickness is below the full one.
+/// Call particle(i, begin, end, nearest) with each particle in contact, its triangles and the squared distance of the
+/// nearest one, and edge(corners, square) with each pair of edges in contact, after `find`. A reduced thickness is below
+/// the full one.
 template <class P, class E>
 inline void for_each_neighbor(const SelfVerletList& neighbors, double thickness, P&& particle, E&& edge) {
     for_each_particle(neighbors.triangles, neighbors.triangles.square, thickness, particle);
     for (std::size_t k = 0; k < neighbors.edges.size(); ++k)
         if (neighbors.edges.square[k] < 0.25 * thickness * thickness)
-            edge(pair_corners<true>(neighbors.surface, neighbors.edges, k));
+            edge(pair_corners<true>(neighbors.surface, neighbors.edges, k), neighbors.edges.square[k]);
 }
 
 }  // namespace cloth::contact

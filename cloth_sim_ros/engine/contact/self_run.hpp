@@ -99,7 +99,7 @@ private:
     template <class F>
     void add_friction(std::int64_t step, const Quads& at, const Quads& velocity, F&& add_force, double* dissipation) {
         double friction_power = 0.0;
-        const auto add = [&](Index i, const Index* begin, const Index* end) {
+        const auto add = [&](Index i, const Index* begin, const Index* end, double) {
             law_.particle(neighbors_.surface, i, begin, end, at, velocity, contact_);
             friction_->add(step, contact_, at, velocity, add_force, dissipation ? &friction_power : nullptr);
         };

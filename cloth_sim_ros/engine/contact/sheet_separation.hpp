@@ -46,11 +46,13 @@ public:
     }
     bool applies() const { return !levels_.empty(); }
     /// Motion of all particles at constant velocities, (3, n), for a duration [s]; backwards for a negative one. Each
-    /// particle may deviate from it by up to a distance [m], (n,); null for none.
+    /// particle may deviate from it by up to a distance [m], (n,); null for none. If `in_any_direction`, relative speeds
+    /// count as if they closed the distance.
     struct Motion {
         const double* v;
         double duration;
         const double* deviations = nullptr;
+        bool in_any_direction = false;
     };
     /// The motions, among one or two from positions x, (3, n), that keep all pairs at least `needed` [m] apart: bit k
     /// stands for the k-th. A motion is left out where that takes too much work, and for numbers beyond `largest`.
@@ -555,6 +557,12 @@ private:
                 for (int j = split + 1; j < 4; ++j) longest = larger(displacement[j], longest);
                 // Without a distance, no direction is known.
                 V closing = select(distance > V{}, larger(longest - shortest, V{}) / distance, V{});
+                if (motions_[m].in_any_direction) {
+                    V square{};
+                    for (int i = 0; i < split; ++i)
+                        for (int j = split; j < 4; ++j) square = larger(norm2(velocity[i] - velocity[j]), square);
+                    closing = absolute(duration) * root(square);
+                }
                 if (const double* const deviations = motions_[m].deviations)
                     for (int lane = 0; lane < lanes<double>; ++lane) {
                         const Corners& pair = pairs[std::min(k + lane, pairs.size() - 1)];

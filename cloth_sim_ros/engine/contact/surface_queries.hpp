@@ -102,7 +102,14 @@ inline void for_each_self_contact(Plan& plan, const SurfaceState& state, F&& vis
                                                          0.5 * plan.self->surface.shortest)
                                                : 0.0,
                  range = contacts.thickness + margin;
-    if (!is_surely_in_contact(plan, state.x) && plan.self->is_clear(state.x, range)) return;
+    const bool has_full_thickness = state.ignore_reduction || !contacts.reduced.any();
+    if (!is_surely_in_contact(plan, state.x)) {
+        if (state.duration > 0.0 && has_full_thickness) {
+            if (plan.self->stays_distant(state.x, state.v, contacts.thickness, state.duration)) return;
+        } else if (plan.self->is_clear(state.x, range)) {
+            return;
+        }
+    }
     const QueryNumbers<V> at(plan, state.x, state.dx), velocity(plan, state.v, state.dv);
     SelfVerletList& neighbors = plan.self->neighbors();
     if (!neighbors.find(at.quads(), contacts.thickness, margin)) return;
@@ -114,14 +121,30 @@ inline void for_each_self_contact(Plan& plan, const SurfaceState& state, F&& vis
     const auto emit = [&] {
         if (!m.gaps.empty()) visit(SurfaceContact{law, m, at, velocity});
     };
+    // Whether sides at a distance may meet within the duration: where even their relative speed, in any direction, closes
+    // the distance. A thickness that grows closes it, too.
+    const Surface& s = neighbors.surface;
+    const auto may_meet = [&](double square, double thickness, const Index* a, int count, const Index* b) {
+        if (!(state.duration > 0.0) || !has_full_thickness) return true;
+        const Quads v{velocity.quads()};
+        double speed_square = 0.0;
+        for (int i = 0; i < count; ++i)
+            for (int j = 0; j < 4 - count; ++j) speed_square = larger(norm2(v(a[i]) - v(b[j])), speed_square);
+        return !(root(square) - state.duration * root(speed_square) >= 1.000001 * thickness);
+    };
     for_each_neighbor(
         neighbors, range,
-        [&](Index i, const Index* begin, const Index* end) {
-            law.particle(neighbors.surface, i, begin, end, at, velocity, m);
+        [&](Index i, const Index* begin, const Index* end, double nearest) {
+            if (std::none_of(begin, end, [&](Index t) {
+                    return may_meet(nearest, contacts.thickness, &i, 1, s.triangles[t].data());
+                }))
+                return;
+            law.particle(s, i, begin, end, at, velocity, m);
             emit();
         },
-        [&](const std::array<Index, 4>& c) {
-            law.edges(neighbors.surface, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
+        [&](const std::array<Index, 4>& c, double square) {
+            if (!may_meet(square, 0.5 * contacts.thickness, c.data(), 2, c.data() + 2)) return;
+            law.edges(s, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
             emit();
         });
 }
@@ -502,13 +525,13 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     const double min_edge_speed = ContactLaw<double>::speed * root(0.5 * law.law(false).shape(0.5 * d) / expected);
     for_each_neighbor(
         neighbors, d,
-        [&](Index i, const Index* begin, const Index* end) {
+        [&](Index i, const Index* begin, const Index* end, double) {
             law.particle(s, i, begin, end, at, velocity, m);
             bound.include(s, m);
             for_each_layer_bound(plan, SurfaceContact{law, m, at, velocity},
                                  [&](Index c, double k) { load.add(s, c, k); });
         },
-        [&](const std::array<Index, 4>& c) {
+        [&](const std::array<Index, 4>& c, double) {
             law.edges(s, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
             bound.include(s, m);
         });

@@ -168,6 +168,55 @@ TEST_CASE("a sheet that is far from itself is found so, and one near itself is n
     CHECK_FALSE(sheet.stays_apart(0.03, 0.02));
 }
 
+TEST_CASE("in any direction, no speed closes the distance of pairs that are found to stay apart") {
+    Random random;
+    int n_apart = 0, n_along = 0;
+    for (int k = 0; k < 40; ++k)
+        for (const Shape shape : {flat, arch, wrinkled, crumpled})
+            for (const double speed : {0.1, 0.5, 2.0}) {
+                MovingSheet sheet(3, 4);
+                sheet.arrange(shape, speed, random);
+                const std::int64_t n = sheet.surface.count;
+                const std::vector<double>& v = sheet.v;
+                const auto at = [&](Index i) { return sheet.at(i, 0.0); };
+                const auto velocity = [&](Index i) { return Vec3<double>{v[i], v[n + i], v[2 * n + i]}; };
+                const double duration = 0.01;
+                // Of all pairs, the distance less the way of their nearest points relative to each other.
+                double least = 1e30;
+                const auto include = [&](double square, Vec3<double> relative_velocity) {
+                    least = std::min(least, std::sqrt(square) - duration * std::sqrt(norm2(relative_velocity)));
+                };
+                for (const auto& c : sheet.surface.triangles)
+                    for (Index i = 0; i < n; ++i) {
+                        if (i == c[0] || i == c[1] || i == c[2]) continue;
+                        const auto nearest = near_triangle(at(i), at(c[0]), at(c[1]), at(c[2]));
+                        Vec3<double> relative = velocity(i);
+                        for (int corner = 0; corner < 3; ++corner)
+                            relative = relative - nearest.weight[corner] * velocity(c[corner]);
+                        include(nearest.square, relative);
+                    }
+                for (const auto& a : sheet.surface.edges)
+                    for (const auto& b : sheet.surface.edges) {
+                        if (a[0] == b[0] || a[0] == b[1] || a[1] == b[0] || a[1] == b[1]) continue;
+                        const auto nearest = near_segments(at(a[0]), at(a[1]), at(b[0]), at(b[1]));
+                        include(nearest.square, velocity(a[0]) + nearest.first * (velocity(a[1]) - velocity(a[0])) -
+                                                    velocity(b[0]) -
+                                                    nearest.second * (velocity(b[1]) - velocity(b[0])));
+                    }
+                for (const double needed : {0.004, 0.01, 0.02, 0.03, 0.05, 0.06}) {
+                    const SheetSeparation<double>::Motion motion{v.data(), duration, nullptr, true};
+                    const SheetSeparation<float>::Motion single_motion{v.data(), duration, nullptr, true};
+                    const bool is_apart = sheet.separation.separated_motions(sheet.x.data(), {motion}, needed);
+                    if (is_apart) CHECK(least >= needed);
+                    if (sheet.single.separated_motions(sheet.x.data(), {single_motion}, needed)) CHECK(is_apart);
+                    n_apart += is_apart;
+                    n_along += !is_apart && sheet.stays_apart(duration, needed);
+                }
+            }
+    CHECK(n_apart > 30);
+    CHECK(n_along > 3);
+}
+
 TEST_CASE("motions are found separated together as they are one by one") {
     Random random;
     int n_mixed = 0;
