@@ -228,7 +228,8 @@ class SessionMaker:
         cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity, double=scene.points.double)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
         # Markers need ROS's messages; they are omitted without ROS.
-        has_bodies = self.simulation.obstacles is not None or self.simulation.pinching is not None
+        # As by the node, markers of the last bodies are deleted, too.
+        has_bodies = self.simulation.obstacles or self.simulation.pinching or self._marked
         if has_bodies and importlib.util.find_spec("rclpy"):
             self._write(f"{NODE}/obstacles", _MARKERS, change, self._markers(now))
         for name, wrench in zip(self.simulation.scene.gripper_names, frame.wrenches, strict=True):
