@@ -83,10 +83,11 @@ class ChangeRule:
             if self.may_touch or piece.ratio > 1:
                 has_new_jerk, present.jerk_error = self._compare_jerk(tableau, piece, n_runs, target)
                 is_changed = is_changed or has_new_jerk
-            # A kink of a jaw's acceleration errs by up to a step's share. At an end of the piece all runs miss it.
-            jaw_may_kink = VELOCITY_ERROR_TIME * tableau.jaw_speed_change(n_runs) > target * piece.steps
-            self.may_kink = self.may_kink or jaw_may_kink
-            is_changed = is_changed or jaw_may_kink
+            if self._plan.contact is not None and self._plan.contact.force.jaws:
+                # A kink of a jaw's acceleration errs by up to a step's share. At an end of the piece all runs miss it.
+                jaw_may_kink = VELOCITY_ERROR_TIME * tableau.jaw_speed_change(n_runs) > target * piece.steps
+                self.may_kink = self.may_kink or jaw_may_kink
+                is_changed = is_changed or jaw_may_kink
         energy, present.contact_energy, rates = tableau.contact_summary(n_runs)
         end, has_jerk = tableau.summary(n_runs), self.may_touch and piece.ratio == 1 and present.jerk_error > 0.0
         touches = has_jerk or energy > 0.0 or end.contact_energy > 0.0 or max(rates[0], end.self_contact[0]) > 0.0

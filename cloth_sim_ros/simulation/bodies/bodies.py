@@ -190,8 +190,10 @@ def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, dur
         t: time at its start [s].
         duration: its length [s].
     """
+    if plan.contact is None or not plan.contact.count:
+        return []
     candidates = grippers.prescribing_grippers()
-    if plan.contact is None or not candidates:
+    if not candidates:
         return []
     thickness = plan.contact.force.thickness
     min_gap = _MIN_GAP_FRACTION * thickness
