@@ -7,6 +7,7 @@
 #include "api/guard.hpp"
 #include "api/self_contact.hpp"
 #include "contact/obstacle_queries.hpp"
+#include "contact/surface_culling.hpp"
 #include "contact/surface_queries.hpp"
 
 namespace cloth::api {

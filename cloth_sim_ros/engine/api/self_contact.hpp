@@ -5,6 +5,7 @@
 #pragma once
 
 #include "api/guard.hpp"
+#include "contact/surface_ccd.hpp"
 #include "contact/surface_queries.hpp"
 
 namespace cloth::api {
