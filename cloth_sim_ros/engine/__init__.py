@@ -11,4 +11,4 @@ interface). `binding` loads the library that fits the machine and checks its arg
 __version__ = "0.2.0"
 #: Number of the package's arithmetic, recorded with every session. It is raised whenever a change alters the bits of a
 #: scene. 1 stands for the versions before the engine, which recorded none.
-NUMERICS = 34
+NUMERICS = 35

@@ -41,6 +41,9 @@ class Constants:
     max_estimate_period: float = _constant(
         0.25, "longest time between two error estimates [s]; four times as long if the error is low"
     )
+    error_growth_time: float = _constant(
+        0.2, "time after an estimate in which the error of combined runs may become four times as large [s]"
+    )
     low_error_fraction: float = _constant(0.05, "fraction of the budget below which an error is low")
     estimate_trust_factor: float = _constant(
         2.0, "factor by which an estimate may be wrong before it is renewed or acted upon"

@@ -168,8 +168,16 @@ class ErrorRule:
         if memory.velocity_change:
             # Fast waves of the last estimate displace little by their velocities, other ones may displace much.
             growth = max(growth, change[1] / (memory.velocity_change * expected_fraction))
-        scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
+        # The error may turn to waves that displace more, of which differences of runs show nothing.
+        age = 1.0 + self._age / CONSTANTS.error_growth_time
+        scale = memory.safety_factor * growth * growth * age * age * coefficient_of(counts, length) / memory.coefficient
         return scale * memory.error * fraction, lower_order_error
+
+    @property
+    def _age(self) -> float:
+        """Time from the last error estimate to the end of the frame [s]."""
+        memory = self.memory
+        return memory.estimate_period - memory.time_until_estimate + memory.duration
 
     def _has_hidden_change(
         self,
