@@ -340,6 +340,19 @@ def test_sums_refuse_misfit_arrays():
             combine(arrays, weights)
 
 
+@pytest.mark.parametrize("count", [1, 3, 8, 19, 40])
+def test_largest_distance_counts_every_particle(count):
+    rng = np.random.default_rng(count)
+    x = rng.normal(scale=0.1, size=(3, count))
+    for particle in range(count):
+        y = x.copy()
+        y[:, particle] += (2.0, -3.0, 6.0)
+        assert largest_distance(y, x) == pytest.approx(7.0)
+        for component, value in ((0, np.nan), (1, np.inf), (2, -np.inf), (0, 1e200)):
+            y[component, particle] = value
+            assert largest_distance(y, x) == np.inf
+
+
 numbers = st.one_of(st.floats(), st.integers(-(2**70), 2**70), st.none(), st.text(max_size=2), st.booleans())
 nested = st.recursive(numbers, lambda inner: st.lists(inner, max_size=4), max_leaves=16)
 
