@@ -11,8 +11,7 @@
 #include <limits>
 #include <span>
 
-#include "contact/primitives.hpp"
-#include "contact/surface.hpp"
+#include "contact/sheet_pairs.hpp"
 
 namespace cloth::contact {
 
@@ -35,7 +34,7 @@ public:
     void set(const Surface& surface, std::int64_t rows, std::int64_t columns, double column_spacing,
              double row_spacing) {
         levels_.clear();
-        if (surface.count != rows * columns || rows < 2 || columns < 2 || !set_cells(surface, rows, columns)) return;
+        if (surface.count != rows * columns || rows < 2 || columns < 2 || !pairs_.set(surface, rows, columns)) return;
         rows_ = rows, columns_ = columns, pitch_ = columns + lanes<S> + 1;
         spacing_[0] = column_spacing, spacing_[1] = row_spacing;
         for (auto& plane : component_) plane.assign(rows * pitch_, S(0));
@@ -45,22 +44,13 @@ public:
         }
     }
     bool applies() const { return !levels_.empty(); }
-    /// Motion of all particles at constant velocities, (3, n), for a duration [s]; backwards for a negative one. Each
-    /// particle may deviate from it by up to a distance [m], (n,); null for none. If `in_any_direction`, relative speeds
-    /// count as if they closed the distance.
-    struct Motion {
-        const double* v;
-        double duration;
-        const double* deviations = nullptr;
-        bool in_any_direction = false;
-    };
     /// The motions, among one or two from positions x, (3, n), that keep all pairs at least `needed` [m] apart: bit k
     /// stands for the k-th. A motion is left out where that takes too much work, and for numbers beyond `largest`.
-    unsigned separated_motions(const double* x, std::initializer_list<Motion> motions, double needed) {
+    unsigned separated_motions(const double* x, std::initializer_list<SheetMotion> motions, double needed) {
         if (!applies() || !measure(x, motions)) return 0;
         x_ = x, motions_ = {motions.begin(), motions.size()}, needed_ = with_rounding(needed);
         has_boxes_ = false;
-        work_left_ = work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work;
+        work_left_ = work_per_cell * pairs_.cell_count() + min_work;
         separated_ = (1u << motions.size()) - 1;
         for_each_bent_window([&](std::size_t l, std::int64_t r, std::int64_t c, unsigned bent) {
             checked_ = separated_ & bent;
@@ -71,7 +61,7 @@ public:
     }
     /// Whether windows alone keep all pairs at positions x, and on up to two motions from there, at least `needed` [m]
     /// apart. Then nothing has pierced anything.
-    bool is_clear(const double* x, double needed, std::initializer_list<Motion> motions = {}) {
+    bool is_clear(const double* x, double needed, std::initializer_list<SheetMotion> motions = {}) {
         if (!applies() || !measure(x, motions)) return false;
         needed_ = with_rounding(needed);
         return for_each_bent_window([](auto...) { return false; });
@@ -82,7 +72,6 @@ private:
     /// the position along columns, and along rows, by component; least and largest positions; least and largest
     /// velocities of two motions.
     static constexpr int first_derivative = 2, first_position = 14, first_speed = 20, planes = 32;
-    static constexpr std::size_t max_motions = 2;
     static constexpr double largest = 1e30;
     /// Rounding of bounds, relative to them and to the largest coordinate or displacement.
     static constexpr double rounding = sizeof(S) == 8 ? 1e-6 : 1e-5, rounding_of_size = sizeof(S) == 8 ? 0.0 : 4e-6;
@@ -99,8 +88,6 @@ private:
             }
         return bits;
     }();
-    using Corners = std::array<Index, 4>;
-    using Ends = std::array<Index, 2>;
 
     /// Blocks of cells. Each row is padded with copies of its last block.
     struct Level {
@@ -180,28 +167,6 @@ private:
         }
         return true;
     }
-    /// Set the triangles and the diagonal of each cell. Return whether all triangles are halves of cells, and no two
-    /// overlap.
-    bool set_cells(const Surface& s, std::int64_t rows, std::int64_t columns) {
-        cells_.assign((rows - 1) * (columns - 1), {});
-        for (const auto& t : s.triangles) {
-            std::int64_t row = rows, column = columns;
-            for (const Index i : t) row = std::min(row, i / columns), column = std::min(column, i % columns);
-            if (row + 1 >= rows || column + 1 >= columns) return false;
-            // Corners of the cell, in turn about it.
-            const auto corner = static_cast<Index>(row * columns + column), next = static_cast<Index>(columns);
-            const Corners around{corner, corner + 1, corner + next + 1, corner + next};
-            int absent = -1, n_absent = 0;
-            for (int k = 0; k < 4; ++k)
-                if (std::find(t.begin(), t.end(), around[k]) == t.end()) absent = k, ++n_absent;
-            Cell& cell = cells_[row * (columns - 1) + column];
-            if (n_absent != 1 || cell.size == 2 || (cell.size && cell.absent != (absent + 2) % 4)) return false;
-            cell.triangles[cell.size++] = t;
-            cell.absent = absent;
-            cell.diagonal = {around[(absent + 1) % 4], around[(absent + 3) % 4]};
-        }
-        return true;
-    }
     double with_rounding(double needed) const { return (1.0 + rounding) * needed + rounding_of_size * size_; }
     /// Copy an array (3, n) into padded rows. Return whether all numbers are finite and below `largest`. Single
     /// precision has differences from the first particle.
@@ -230,7 +195,7 @@ private:
         return sum == 0.0;
     }
     /// Set the derivatives of each cell: its sides bound them, for either diagonal. Return false beyond `largest`.
-    bool measure(const double* x, std::initializer_list<Motion> motions) {
+    bool measure(const double* x, std::initializer_list<SheetMotion> motions) {
         using V = vec<S>;
         size_ = 0.0;
         struct Sides {
@@ -247,10 +212,10 @@ private:
             for (std::int64_t r = 0; r < cells.rows; ++r)
                 for (std::int64_t c = 0; c < cells.columns; c += lanes<S>) visit(r * pitch_ + c, r * cells.pitch + c);
         };
-        for (std::size_t k = motions.size(); k < max_motions; ++k)
+        for (std::size_t k = motions.size(); k < SheetPairs::max_motions; ++k)
             std::fill(cells.plane[k].begin(), cells.plane[k].end(), S(0));
         for (std::size_t k = 0; k < motions.size(); ++k) {
-            const Motion& motion = motions.begin()[k];
+            const SheetMotion& motion = motions.begin()[k];
             const double square = motion.duration * motion.duration;
             if (!(square < largest && copy(motion.v))) return false;
             for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
@@ -320,7 +285,7 @@ private:
                 }
     }
     /// Expand the boxes of the velocities of cells by what particles deviate.
-    void expand_cells(int first, const Motion& motion) {
+    void expand_cells(int first, const SheetMotion& motion) {
         using V = vec<S>;
         Level& cells = levels_[0];
         copy_deviations(motion.deviations);
@@ -468,8 +433,8 @@ private:
         }
         if (root(gap_square) - approach >= needed_) return true;
         if (!l) {
-            compared_cells_ = {cell(r, c), cell(r2, c2)};
-            return check_compared_cells();
+            compared_cells_ = {pairs_.cell(r, c), pairs_.cell(r2, c2)};
+            return check_pairs();
         }
         const Level& finer = levels_[l - 1];
         for (std::int64_t i = 2 * r; i < std::min(2 * r + 2, finer.rows); ++i)
@@ -479,114 +444,23 @@ private:
                         if (!check_blocks(l - 1, i, j, i2, j2)) return false;
         return true;
     }
-    std::int64_t cell(std::int64_t r, std::int64_t c) const { return r * (columns_ - 1) + c; }
     /// Check the pairs of two by two cells.
     bool check_cells(std::int64_t r, std::int64_t c) {
         compared_cells_.clear();
         for (std::int64_t i = r; i < std::min(r + 2, rows_ - 1); ++i)
-            for (std::int64_t j = c; j < std::min(c + 2, columns_ - 1); ++j) compared_cells_.push_back(cell(i, j));
-        return check_compared_cells();
+            for (std::int64_t j = c; j < std::min(c + 2, columns_ - 1); ++j)
+                compared_cells_.push_back(pairs_.cell(i, j));
+        return check_pairs();
     }
-    bool check_compared_cells() {
-        const std::vector<std::int64_t>& cells = compared_cells_;
+    /// Check the pairs of the compared cells.
+    bool check_pairs() {
         work_left_ -= cells_work;
         if (work_left_ < 0) return leave_out(checked_);
-        particles_.clear(), edges_.clear(), triangle_pairs_.clear(), edge_pairs_.clear();
-        const auto next = static_cast<Index>(columns_);
-        for (const std::int64_t k : cells) {
-            const auto corner = static_cast<Index>(k / (columns_ - 1) * columns_ + k % (columns_ - 1));
-            for (const Index i : {corner, corner + 1, corner + next, corner + next + 1})
-                if (std::find(particles_.begin(), particles_.end(), i) == particles_.end()) particles_.push_back(i);
-            // The sides to the left and above are those of a neighbour, if it is among the cells.
-            const auto contains = [&](std::int64_t neighbor) {
-                return std::find(cells.begin(), cells.end(), neighbor) != cells.end();
-            };
-            if (k % (columns_ - 1) == 0 || !contains(k - 1)) edges_.push_back({corner, corner + next});
-            if (!contains(k - (columns_ - 1))) edges_.push_back({corner, corner + 1});
-            edges_.push_back({corner + 1, corner + next + 1});
-            edges_.push_back({corner + next, corner + next + 1});
-            if (cells_[k].size) edges_.push_back(cells_[k].diagonal);
-        }
-        for (const std::int64_t k : cells)
-            for (int half = 0; half < cells_[k].size; ++half) {
-                const auto& t = cells_[k].triangles[half];
-                for (const Index i : particles_)
-                    if (i != t[0] && i != t[1] && i != t[2]) triangle_pairs_.push_back({i, t[0], t[1], t[2]});
-            }
-        for (std::size_t k = 0; k < edges_.size(); ++k)
-            for (std::size_t j = 0; j < k; ++j) {
-                const Ends &a = edges_[k], &b = edges_[j];
-                if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
-                    edge_pairs_.push_back({a[0], a[1], b[0], b[1]});
-            }
-        return check_pairs<false>(triangle_pairs_) && check_pairs<true>(edge_pairs_);
+        return leave_out(pairs_.approaching(compared_cells_, x_, motions_, needed_, checked_));
     }
-    /// Check pairs by their distance, less the way at the largest closing speed of their corners along it: no points of
-    /// a pair come nearer.
-    template <bool Edges>
-    bool check_pairs(const std::vector<Corners>& pairs) {
-        using V = vec<double>;
-        const std::int64_t n = rows_ * columns_;
-        V least[max_motions];
-        std::fill_n(least, max_motions, splat<V>(std::numeric_limits<double>::infinity()));
-        for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
-            const auto gather = [&](const double* a, Vec3<V>(&to)[4]) {
-                for (int lane = 0; lane < lanes<double>; ++lane)
-                    for (int j = 0; j < 4; ++j) {
-                        const double* const from = a + pairs[std::min(k + lane, pairs.size() - 1)][j];
-                        to[j].x[lane] = from[0], to[j].y[lane] = from[n], to[j].z[lane] = from[2 * n];
-                    }
-            };
-            Vec3<V> at[4], velocity[4], away;
-            gather(x_, at);
-            if constexpr (Edges)
-                away = near_segments(at[0], at[1], at[2], at[3]).away;
-            else
-                away = near_triangle(at[0], at[1], at[2], at[3]).away;
-            const V distance = root(norm2(away));
-            for (std::size_t m = 0; m < motions_.size(); ++m) {
-                if (!(checked_ >> m & 1u)) continue;
-                gather(motions_[m].v, velocity);
-                const V duration = splat<V>(motions_[m].duration);
-                V displacement[4];
-                for (int j = 0; j < 4; ++j) displacement[j] = duration * dot(away, velocity[j]);
-                // Corners before `split` are of one side.
-                constexpr int split = Edges ? 2 : 1;
-                V shortest = displacement[0], longest = displacement[split];
-                for (int j = 1; j < split; ++j) shortest = smaller(displacement[j], shortest);
-                for (int j = split + 1; j < 4; ++j) longest = larger(displacement[j], longest);
-                // Without a distance, no direction is known.
-                V closing = select(distance > V{}, larger(longest - shortest, V{}) / distance, V{});
-                if (motions_[m].in_any_direction) {
-                    V square{};
-                    for (int i = 0; i < split; ++i)
-                        for (int j = split; j < 4; ++j) square = larger(norm2(velocity[i] - velocity[j]), square);
-                    closing = absolute(duration) * root(square);
-                }
-                if (const double* const deviations = motions_[m].deviations)
-                    for (int lane = 0; lane < lanes<double>; ++lane) {
-                        const Corners& pair = pairs[std::min(k + lane, pairs.size() - 1)];
-                        double most[2]{};
-                        for (int j = 0; j < 4; ++j) most[j >= split] = larger(deviations[pair[j]], most[j >= split]);
-                        closing[lane] += most[0] + most[1];
-                    }
-                least[m] = smaller(distance - closing, least[m]);
-            }
-        }
-        unsigned near = 0;
-        for (std::size_t m = 0; m < motions_.size(); ++m)
-            if (bits_of(!(least[m] >= splat<V>(needed_)))) near |= 1u << m;
-        return leave_out(near & checked_);
-    }
-    /// A cell with up to two triangles; `absent`: the corner that the last one lacks.
-    struct Cell {
-        std::array<std::array<Index, 3>, 2> triangles;
-        Ends diagonal;
-        int size = 0, absent = -1;
-    };
     std::int64_t rows_ = 0, columns_ = 0, pitch_ = 0;
     double spacing_[2] = {};
-    std::vector<Cell> cells_;
+    SheetPairs pairs_;
     std::vector<Level> levels_;
     /// Positions or velocities by component, rows padded.
     std::vector<S> component_[3];
@@ -594,7 +468,7 @@ private:
     /// Arguments of `separated_motions`, its result so far, the motions that are checked for a window, and whether the
     /// levels have their boxes.
     const double* x_ = nullptr;
-    std::span<const Motion> motions_;
+    std::span<const SheetMotion> motions_;
     std::vector<S> deviation_;  ///< of a motion, in padded rows
     double needed_ = 0.0;
     unsigned separated_ = 0, checked_ = 0;
@@ -602,11 +476,7 @@ private:
     double far_square_ = 0.0;
     bool has_boxes_ = false;
     std::int64_t work_left_ = 0;
-    /// Cells whose pairs are compared, and these pairs.
     std::vector<std::int64_t> compared_cells_;
-    std::vector<Index> particles_;
-    std::vector<Ends> edges_;
-    std::vector<Corners> triangle_pairs_, edge_pairs_;
 };
 
 }  // namespace cloth::contact

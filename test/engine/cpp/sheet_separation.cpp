@@ -204,11 +204,10 @@ TEST_CASE("in any direction, no speed closes the distance of pairs that are foun
                                                     nearest.second * (velocity(b[1]) - velocity(b[0])));
                     }
                 for (const double needed : {0.004, 0.01, 0.02, 0.03, 0.05, 0.06}) {
-                    const SheetSeparation<double>::Motion motion{v.data(), duration, nullptr, true};
-                    const SheetSeparation<float>::Motion single_motion{v.data(), duration, nullptr, true};
+                    const SheetMotion motion{v.data(), duration, nullptr, true};
                     const bool is_apart = sheet.separation.separated_motions(sheet.x.data(), {motion}, needed);
                     if (is_apart) CHECK(least >= needed);
-                    if (sheet.single.separated_motions(sheet.x.data(), {single_motion}, needed)) CHECK(is_apart);
+                    if (sheet.single.separated_motions(sheet.x.data(), {motion}, needed)) CHECK(is_apart);
                     n_apart += is_apart;
                     n_along += !is_apart && sheet.stays_apart(duration, needed);
                 }
@@ -226,7 +225,7 @@ TEST_CASE("motions are found separated together as they are one by one") {
             other.arrange(shape, 5.2 - speed, random);
             sheet.arrange(shape, speed, random);
             const double* const x = sheet.x.data();
-            const SheetSeparation<double>::Motion first{other.v.data(), 0.01}, second{sheet.v.data(), -0.01};
+            const SheetMotion first{other.v.data(), 0.01}, second{sheet.v.data(), -0.01};
             for (const double needed : {0.004, 0.01, 0.02, 0.05}) {
                 unsigned alone = 0;
                 for (int k = 0; k < 2; ++k)
