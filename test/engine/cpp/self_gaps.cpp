@@ -272,6 +272,40 @@ TEST_CASE("no bit of a run depends on runs that passed the same positions") {
         }
 }
 
+TEST_CASE("a surface that returns to earlier positions finds their pairs") {
+    // Three parallel triangles. The second one touches the first or the third one, edges included: lists omit no near
+    // pair, so no distance shows that they are of other positions.
+    constexpr double d = 0.03;
+    Surface s;
+    s.count = 9;
+    s.triangles = {{0, 1, 2}, {3, 4, 5}, {6, 7, 8}};
+    s.build_topology();
+    s.shortest = 0.1;
+    s.masses.assign(9, 0.01), s.inverse.assign(9, 100.0), s.is_free.assign(9, 1);
+    const auto positions = [&](double first, double third) {
+        std::vector<double> x;
+        for (const double height : {first, 0.0, third})
+            for (const Vec3<double> p : {Vec3<double>{-0.1, -0.1, 0.0}, {0.2, -0.1, 0.0}, {-0.1, 0.2, 0.0}})
+                x.insert(x.end(), {p.x, p.y, p.z + height, 0.0});
+        return x;
+    };
+    SelfVerletList lists(s, 0, true);
+    const std::vector<double> v(36, 0.0);
+    for (int turn = 0; turn < 6; ++turn) {
+        const bool is_first = turn % 2 == 0;
+        const std::vector<double> x = is_first ? positions(-0.01, 9.0) : positions(-9.0, 0.01);
+        const auto touches = [&](Index i) { return i / 3 == 1 || i / 3 == (is_first ? 0 : 2); };
+        if (turn < 4) {
+            std::vector<double> f(36, 0.0);
+            SelfRun(lists, d, damping, duration).add(0, x.data(), v.data(), f.data(), nullptr);
+            for (Index i = 0; i < s.count; ++i) CHECK((f[4 * i + 2] != 0.0) == touches(i));
+        }
+        CHECK(lists.find(x.data(), d, 0.0));
+        CHECK(lists.triangles.size() > 0);
+        for (const Index i : lists.triangles.first) CHECK(touches(i));
+    }
+}
+
 TEST_CASE("edges that alone come near are found in time") {
     // Two triangles that stand on each other, edge on edge.
     constexpr double d = 0.03;
