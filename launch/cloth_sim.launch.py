@@ -23,12 +23,12 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
         "scene",
         "cloth_sim",
         "scene of the package: a hung sheet, a flag in the wind, a towel that falls over a ball, a sheet over "
-        "the edge of a box, a towel on a table, a sheet that a gripper pinches, a towel that two grippers fold, three "
-        "towels in a stack, a strip that two grippers twist, a sheet before a depth camera, a sheet beside an arm, "
-        "a towel of uncertain parameters",
+        "the edge of a box, a towel on a table, a sheet that a gripper pinches, by a service or as a robot's gripper, "
+        "a towel that two grippers fold, three towels in a stack, a strip that two grippers twist, a sheet before a "
+        "depth camera, a sheet beside an arm, a towel of uncertain parameters",
         [
             *("cloth_sim", "flag", "drape", "edge", "table", "pinch", "fold", "stack", "twist", "camera"),
-            *("robot_arm", "uncertain"),
+            *("pinch_action", "robot_arm", "uncertain"),
         ],
     ),
     ("params_file", "", "ROS parameter file of the cloth, in place of a scene of the package", None),

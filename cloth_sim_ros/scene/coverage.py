@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import to_body_frame
 from cloth_sim_ros.scene import sections
+from cloth_sim_ros.scene.obstacles import build_solid
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.physics_scene import Sheet
 
@@ -32,11 +34,14 @@ class CoverageScene(Protocol):
     def described(self) -> dict[str, sections.ObstacleParameters]: ...
 
     @property
+    def files(self) -> Mapping[str, bytes]: ...
+
+    @property
     def sheet(self) -> Sheet: ...
 
 
 def check_coverage(scene: CoverageScene) -> None:
-    """Raise ParameterError if a set `coverage.obstacle` is no plane or box, or if rectangle or cloth has no area.
+    """Raise ParameterError if a set `coverage.obstacle` is no valid plane or box, or if rectangle or cloth has no area.
 
     Raises:
         ParameterError: naming the parameter.
@@ -48,6 +53,8 @@ def check_coverage(scene: CoverageScene) -> None:
         raise ParameterError(f"coverage.obstacle names '{name}', and {name}.shape is not set; set it")
     if (shape := scene.described[name].shape) not in ("plane", "box"):
         raise ParameterError(f"coverage.obstacle names '{name}', and {name}.shape is {shape}; take a plane or a box")
+    # It need not be present, so that nothing else has checked its size.
+    build_solid(name, scene.described[name], scene.files)
     if any(size) and not all(size):
         raise ParameterError(f"coverage.size is {list(size)} m; give two positive numbers, or [0.0, 0.0] for all of it")
     if not len(scene.sheet.triangles()):

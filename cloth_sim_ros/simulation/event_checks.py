@@ -46,12 +46,19 @@ _GRIPPER_EVENTS = (Target, Grasp)
 class EventError(ValueError):
     """Error: an event can't take effect; the message gives value, limit and remedy."""
 
+    #: The event, if it is one of several that were checked together.
+    event: Event | None = None
+
 
 def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> list[Event]:
     """Return the events of a frame in the order of their effect; raise EventError if one can't follow the others."""
     in_order = ordered(list(events))
     for event in in_order:
-        after = check(event, scene, state, initial)
+        try:
+            after = check(event, scene, state, initial)
+        except EventError as error:
+            error.event = event
+            raise
         if after.obstacles != scene.obstacles:
             state, initial = state.shallow_copy(), initial.shallow_copy()
             adapt_states(scene, after, (state, initial))

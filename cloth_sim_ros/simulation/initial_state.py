@@ -41,13 +41,37 @@ def stop_anchored(scene: Scene, state: State) -> None:
         stop_particles(state, np.array(scene.anchored_particles(), dtype=np.int64))
 
 
+def names_of_bodies(scene: Scene) -> tuple[tuple[str, ...], ...]:
+    """Return the names of a scene's grippers, and of its obstacles, see `State.bodies`."""
+    return tuple(scene.gripper_names), tuple(scene.obstacle_names)
+
+
+def _bodies_difference(state: State, scene: Scene) -> str:
+    """Return the difference of a state's grippers and obstacles from a scene's, as the end of a sentence, or "".
+
+    Their numbers are checked elsewhere: a state that never ran fits any.
+    """
+    for kind, names, present in zip(
+        ("grippers", "obstacles"), state.bodies or (), names_of_bodies(scene), strict=False
+    ):
+        if names != present and len(names) == len(present):
+            return (
+                f"has {kind} {', '.join(names)}, the scene {', '.join(present)}; give them the same names, in the same "
+                "order"
+            )
+    return ""
+
+
 def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
     """Return the state that a reset restores, and a copy of it or of `state` to start from; raise ValueError if unfit.
 
     Raises:
-        ValueError: for a state of another cloth.
+        ValueError: for a state of another cloth, or with other names of grippers or obstacles.
     """
     initial = scene.starting_state()
+    if reason := _bodies_difference(initial if state is None else state, scene):
+        subject = f"initial_state '{scene.initial_state}'" if state is None else "the state"
+        raise ValueError(f"{subject} {reason}")
     mismatch = difference(state, initial.cloth) if state is not None and initial.cloth is not None else ""
     if mismatch:
         raise ValueError(f"the state {mismatch}: a state only continues the cloth that it was saved from")
@@ -58,7 +82,7 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
     if not initial.v.any():
         # The initial state is usually at rest. A broadcast zero then replaces the whole array.
         initial.v = np.broadcast_to(0.0, initial.v.shape)
-    start.cloth = initial.cloth
+    start.cloth, start.bodies = initial.cloth, names_of_bodies(scene)
     start.memory.setdefault("paused", np.zeros(1, dtype=bool))
     return initial, start
 

@@ -45,7 +45,13 @@ from cloth_sim_ros.simulation.events import (
 )
 from cloth_sim_ros.simulation.exclusive import ExclusiveAccess, between_frames, exclusive
 from cloth_sim_ros.simulation.frame import Frame
-from cloth_sim_ros.simulation.initial_state import apply_grasp, starting_states, stop_anchored, stop_particles
+from cloth_sim_ros.simulation.initial_state import (
+    apply_grasp,
+    names_of_bodies,
+    starting_states,
+    stop_anchored,
+    stop_particles,
+)
 from cloth_sim_ros.simulation.parameter_change import MAX_VELOCITY_CHANGE, acceleration_change
 from cloth_sim_ros.simulation.sleep import SleepRule, is_asleep, sleeps_until, wake
 from cloth_sim_ros.simulation.snapshot import Snapshot
@@ -384,6 +390,7 @@ class Simulation(ExclusiveAccess):
         wake(self.state)
         stop_particles(self.state, np.setdiff1d(self.model.anchors, anchors))
         self.state.thickness = None if self.plan.contact is None else scene.contact.thickness
+        self.state.bodies = names_of_bodies(scene)
         rows = recoveries.compressed_rows(before, scene)
         if rows.any() or relieved.size:
             reduce_contacts(self.plan, self.state, self.time, "the cloth", rows=rows, relieved=relieved)

@@ -101,6 +101,22 @@ def test_gripper_without_a_node_gives_up(ros_domain: int, start_process: Callabl
     assert "no node /nowhere came within 0.5 s" in gripper.output
 
 
+def test_commands_refuse_wrong_names_and_times(start_process: Callable[..., Any]) -> None:
+    cases = {
+        ("gripper_main", "--gripper", "grüp"): "gripper name 'grüp' is no ROS name",
+        ("gripper_main", "--node", "1a"): "'1a' is no name of a node",
+        ("gripper_main", "--wait", "nan"): "'nan' is no time to wait; give a number of seconds, at least 0",
+        ("viewer_main", "--node", "a.b", "--save", "x.rrd"): "'a.b' is no name of a node",
+    }
+    started = {
+        words: start_process(["-m", f"cloth_sim_ros.ros.{name}", *options]) for (name, *options), words in cases.items()
+    }
+    for words, process in started.items():
+        assert process.wait() > 0
+        assert words in process.output
+        assert "Traceback" not in process.output
+
+
 def test_gripper_plays_one_script_for_each_gripper(start_process: Callable[..., Any], tmp_path: Path) -> None:
     script = tmp_path / "script.yaml"
     script.write_text("steps: [{time: 0.0, position: [0.0, 0.0, 0.0]}]")

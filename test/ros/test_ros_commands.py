@@ -16,7 +16,7 @@ from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, to
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.ros.timing.stepper import Stepper
-from cloth_sim_ros.simulation.events import Event, Pause, Step
+from cloth_sim_ros.simulation.events import Event, Move, Pause, Step
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
@@ -185,6 +185,17 @@ def test_refused_parameters_leave_other_events_in_effect() -> None:
     assert frame.moved
     assert simulation.scene.step == 0.0
     assert simulation.grippers.is_placed(0)
+
+
+def test_parameters_stay_if_another_event_is_refused() -> None:
+    stepper = Stepper(Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)})), EventQueue())
+    results: list[EventResult] = []
+    stepper.queue.put(SetParameters({"air.drag": 1.5}), answer=results.append)
+    stepper.queue.put(Move("ball", (0.0, 0.0, 0.0)), answer=results.append)
+    assert run_frame(stepper).moved
+    assert [outcome.reason for outcome in results] == ["", "there is no obstacle 'ball'; this cloth has none"]
+    assert stepper.refused_parameters == ""
+    assert stepper.simulation.scene.air.drag == 1.5
 
 
 def test_bad_parameters_and_unstable_motion_in_one_frame(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -282,3 +282,13 @@ def test_ensemble_file_is_read_only(client: Client, values: dict[str, Any]) -> N
     with ClockedCloth(client, values) as cloth:
         (result,) = cloth.node.node.set_parameters([Parameter("ensemble.file", value="")])
         assert not result.successful
+
+
+def test_values_beyond_a_members_range_are_refused(client: Client, values: dict[str, Any]) -> None:
+    with ClockedCloth(client, values) as cloth:
+        largest = Scene.from_parameters({}).parameters()["air.drag"]
+        limit = next(entry.max for entry in cloth.simulation.scene.entries if entry.name == "air.drag")
+        assert limit is not None and limit > largest
+        result = cloth.node.node.set_parameters([Parameter("air.drag", value=float(limit))])[0]
+        assert re.search(r"^member \d+ of the ensemble .*air\.drag is .*; state a smaller deviation$", result.reason)
+        assert cloth.node.node.set_parameters([Parameter("air.drag", value=0.5)])[0].successful

@@ -15,7 +15,7 @@ from support.line_log import LineLog
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer, TfFollower
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
-from cloth_sim_ros.simulation.events import Move, Reset, SetParameters
+from cloth_sim_ros.simulation.events import Move, Pause, Reset, SetParameters
 
 SECOND = 1_000_000_000
 NOW = 1000 * SECOND
@@ -152,6 +152,15 @@ def test_silent_gripper_releases_only_with_timeout_set() -> None:
     patient, follower, _ = make_follower(NOW)
     patient.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
     assert follower.events(NOW + 1000 * SECOND) == []
+
+
+def test_gripper_timeout_counts_from_the_end_of_a_pause() -> None:
+    simulation, follower, _ = make_follower(NOW, gripper__timeout=0.5)
+    simulation.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True), Pause(True)])
+    assert follower.events(NOW + 5 * SECOND) == []
+    simulation.advance([Pause(False)])
+    assert follower.events(NOW + 5 * SECOND + SECOND // 2) == []
+    assert follower.events(NOW + 6 * SECOND) == [Grasp("gripper", False)]
 
 
 def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:

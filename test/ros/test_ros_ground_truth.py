@@ -140,6 +140,14 @@ def test_plane_of_coverage_needs_no_contact(client: Client) -> None:
         assert received[-1].data == pytest.approx(0.2 * 0.1, abs=1e-9)
 
 
+def test_wrong_size_of_the_plane_of_coverage_is_refused(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
+    with ClockedCloth(client, {**FLAT, **TABLE, "obstacles": [""]}) as cloth:
+        assert "no effect" not in capfd.readouterr().err
+        result = cloth.node.node.set_parameters_atomically([Parameter("table.size", value=[0.1])])
+        assert result.reason == "obstacle 'table' has 1 sizes, [0.1]; a box has 3: x, y, z"
+        cloth.tick()
+
+
 def test_node_without_parameters_has_no_ground_truth(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         assert cloth.node.outputs.ground_truth == []

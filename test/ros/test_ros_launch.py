@@ -201,6 +201,13 @@ def test_each_packaged_scene_is_a_launch_argument(monkeypatch: pytest.MonkeyPatc
         ]
 
 
+def test_each_documented_scene_is_a_launch_argument(monkeypatch: pytest.MonkeyPatch) -> None:
+    pages = [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"]
+    documented = {scene for page in pages for scene in re.findall(r"scene:=(\w+)", page.read_text())}
+    assert len(documented) > 4
+    assert documented <= set(Launched(monkeypatch).declared["scene"]["choices"])
+
+
 @pytest.mark.parametrize(("namespace", "full"), [("", "/cloth_sim"), ("left_arm", "/left_arm/cloth_sim")])
 def test_viewer_is_started_for_the_launched_cloth(namespace: str, full: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(Launched(monkeypatch, viewer="none").nodes) == 1

@@ -213,4 +213,24 @@ def test_parameters_that_fail_in_their_frame_are_set_back(client: Client, capfd:
         cloth.tick(2)
         assert cloth.node.node.get_parameter("air.drag").value == 0.2
         assert cloth.simulation.scene.air.drag == 0.2
-    assert "parameters are set back: step 0.5 s is above the stability limit" in capfd.readouterr().err
+    assert "parameters are set back (air.drag): step 0.5 s is above the stability limit" in capfd.readouterr().err
+
+
+def test_shape_by_the_name_of_a_camera_or_gripper_is_refused(client: Client) -> None:
+    values = {"cameras": ["front"], "grippers": ["left"], "left.max_speed": 5.0, "left.frame": "tool"}
+    with ClockedCloth(client, values) as cloth:
+        node = cloth.node.node
+        for name, kind in (("front", "camera"), ("left", "gripper")):
+            result = node.set_parameters([Parameter(f"{name}.shape", value="box")])[0]
+            assert result.reason.startswith(f"'{name}' names a {kind} and an obstacle; give the ")
+            assert not node.has_parameter(f"{name}.shape")
+        assert node.get_parameter("left.max_speed").value == 5.0
+        assert node.has_parameter("front.position")
+
+
+def test_new_parameters_may_be_set_twice_at_once(client: Client) -> None:
+    with ClockedCloth(client) as cloth:
+        node = cloth.node.node
+        for name, values in (("post.shape", ["box", "sphere"]), ("gripper.max_speed", [1.0, 2.0])):
+            assert node.set_parameters_atomically([Parameter(name, value=value) for value in values]).successful
+            assert node.get_parameter(name).value == values[1]

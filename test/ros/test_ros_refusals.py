@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -92,3 +93,12 @@ def test_excluded_end_of_a_range_is_refused_by_that_end(client: Client) -> None:
         assert (result.successful, result.reason) == (
             False, "material.stretch_modulus is 0.0 N/m; it must be above 0.0 N/m",
         )  # fmt: skip
+
+
+def test_name_too_long_for_topics_is_refused(client: Client) -> None:
+    name, words = 230 * "x", r"'x{20}\.\.\.' has 230 letters; the topics of /cloth_sim leave room for 229: shorten it"
+    with pytest.raises(ParameterError, match=words):
+        ClockedCloth(client, {f"{name}.shape": "plane"})
+    with ClockedCloth(client) as cloth:
+        result = cloth.node.node.set_parameters([Parameter(f"{name}.shape", value="plane")])[0]
+        assert re.search(words, result.reason)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import threading
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from typing import Any
 import attrs
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
@@ -369,6 +371,23 @@ def test_reset_leaves_links_where_the_robot_is(client: Client, description: str)
         for _ in range(3):
             cloth.tick()
             assert np.array_equal(poses(cloth), expected)
+
+
+def test_link_that_comes_back_is_where_the_robot_is(client: Client, description: str) -> None:
+    with arm(client, (0.1, 0.2, 0.3, 0.01), {"robot.description_file": description}) as cloth:
+        names = cloth.simulation.scene.obstacle_names
+        node = cloth.node.node
+        assert node.set_parameters([Parameter("obstacles", value=names[:-1])])[0].successful
+        cloth.tick(2)
+        send(cloth, state((0.4, 0.2, 0.3, 0.01)))
+        cloth.tick(10)
+        start = node.get_parameter(f"{names[-1]}.position").value
+        assert node.set_parameters([Parameter("obstacles", value=names)])[0].successful
+        cloth.tick()
+        present = poses(cloth)
+        assert math.dist(present[-1, :3], start) > 0.01
+        cloth.tick(5)
+        assert np.array_equal(poses(cloth), present)
 
 
 def test_links_do_not_lag_while_time_stands(

@@ -10,7 +10,7 @@ import pytest
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Grasp, Target
+from cloth_sim_ros.simulation.events import Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
 SMALL = {"cloth.resolution": [4, 5], "gripper.radius": 0.6}
@@ -84,6 +84,7 @@ def test_a_single_array_is_no_state():
         ("memory.grip.offsets", lambda a: a[1:], "memory 'grip.offsets' has shape"),
         ("memory.grip.offsets", lambda a: a * np.nan, "it must be finite"),
         ("elsewhere", lambda a: np.zeros(1), "does not belong to a state"),
+        ("obstacles", lambda a: np.zeros(1), "it must be names"),
     ],
 )
 def test_an_array_that_does_not_fit_is_refused_by_name(name, change, words):
@@ -118,6 +119,34 @@ def test_a_state_with_the_scenes_grippers_is_taken(names):
     assert loaded.frame == 0
     np.testing.assert_array_equal(loaded.positions, state.positions)
     loaded.advance()
+
+
+BALLS = {f"{name}.{leaf}": value for name in "ab" for leaf, value in (("shape", "sphere"), ("size", [0.05]))}
+
+
+@pytest.mark.parametrize(
+    ("kind", "had", "has"),
+    [
+        ("grippers", ["left", "right"], ["right", "left"]),
+        ("grippers", ["left"], ["right"]),
+        ("obstacles", ["a", "b"], ["b", "a"]),
+        ("obstacles", ["b"], ["a"]),
+    ],
+)
+def test_a_state_with_other_names_of_bodies_is_refused(kind, had, has):
+    values = {**SMALL, **BALLS, "a.position": [0.0, 3.0, 0.0], "b.position": [0.0, 4.0, 0.0]}
+    values["grippers"] = had if kind == "grippers" else [""]
+    simulation = Simulation(Scene.from_parameters(values))
+    if kind == "obstacles":
+        simulation.advance([SetParameters({"obstacles": had})])
+    saved_state = simulation.state.to_bytes()
+    values = {**values, kind: has, "initial_state": "s.npz"}
+    message = f"initial_state 's.npz' has {kind} {', '.join(had)}, the scene {', '.join(has)}; give them the same names"
+    with pytest.raises(ValueError, match=message):
+        Simulation(Scene.from_parameters(values, files={"s.npz": saved_state}))
+    del values["initial_state"]
+    with pytest.raises(ValueError, match=f"the state has {kind}"):
+        Simulation(Scene.from_parameters(values), State.from_bytes(saved_state))
 
 
 QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf {} {} {}\nf {} {} {}\n"

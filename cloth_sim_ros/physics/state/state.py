@@ -26,6 +26,8 @@ _MEMORY = "memory."
 _CLOTH = "cloth"
 #: In state files, but not in the digest: the contact thickness in use.
 _THICKNESS = "contact_thickness"
+#: In state files, but not in the digest: names of grippers and obstacles, in the order of the memory's arrays.
+_BODIES = ("grippers", "obstacles")
 
 
 @with_old_names(become="assign", go_back="restore_motion", share="shallow_copy")
@@ -75,6 +77,8 @@ class State:
         self.cloth = cloth
         #: `contact.thickness` of the simulation that made the state [m]; None without contact, or if unknown.
         self.thickness: float | None = None
+        #: Names of grippers, and of obstacles, of the simulation that made the state; None if unknown.
+        self.bodies: tuple[tuple[str, ...], ...] | None = None
         #: Names of memory of older versions in the state file; the state lacks it, and its rules start afresh.
         self.dropped_memory: tuple[str, ...] = ()
 
@@ -123,7 +127,7 @@ class State:
         """Take over all fields of another state, sharing its arrays; `restore` copies them."""
         self.x, self.v = source.x, source.v
         self.frame, self.cloth, self.dropped_memory = source.frame, source.cloth, source.dropped_memory
-        self.thickness = source.thickness
+        self.thickness, self.bodies = source.thickness, source.bodies
         self.memory = dict(source.memory)
 
     def restore_motion(self, start: State) -> None:
@@ -167,6 +171,8 @@ class State:
             arrays[_CLOTH] = np.array(self.cloth, dtype=np.int64)
         if self.thickness is not None:
             arrays[_THICKNESS] = np.array(self.thickness)
+        if self.bodies is not None:
+            arrays |= {kind: np.array(names, dtype=np.str_) for kind, names in zip(_BODIES, self.bodies, strict=True)}
         # Without `allow_pickle`, which numpy 1.26 would store as one more array; no array contains objects.
         np.savez(buffer, **arrays)
         return buffer.getvalue()
@@ -187,6 +193,7 @@ class State:
             _check_core(frame, x, v)
             cloth = _cloth(arrays.pop(_CLOTH, None), x.shape[1])
             thickness = _thickness(arrays.pop(_THICKNESS, None))
+            bodies = _bodies([arrays.pop(kind, None) for kind in _BODIES])
             for name in arrays:
                 if not name.startswith(_MEMORY):
                     raise ValueError(f"array '{name}' does not belong to a state")
@@ -194,7 +201,7 @@ class State:
             dropped_memory = tuple(name for name in LEGACY_KEYS if memory.pop(name, None) is not None)
             state_memory.check(memory, x.shape[1])
             state = cls(x.T, v.T, memory=memory, frame=int(frame), cloth=cloth)
-            state.dropped_memory, state.thickness = dropped_memory, thickness
+            state.dropped_memory, state.thickness, state.bodies = dropped_memory, thickness, bodies
             return state
         except ValueError as error:
             raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
@@ -223,6 +230,18 @@ def _thickness(array: np.ndarray | None) -> float | None:
     if array.dtype != np.float64 or array.shape != () or not 0.0 < array < np.inf:
         raise ValueError(f"array '{_THICKNESS}' is {array.tolist()}; it must be a single finite double above 0")
     return float(array)
+
+
+def _bodies(arrays: list[np.ndarray | None]) -> tuple[tuple[str, ...], ...] | None:
+    """Return the names of grippers and of obstacles in a file's arrays; None if it has none; refuse other arrays."""
+    names = []
+    for kind, array in zip(_BODIES, arrays, strict=True):
+        if array is None:
+            continue
+        if array.dtype.kind != "U" or array.ndim != 1:
+            raise ValueError(f"array '{kind}' is of type {array.dtype} and shape {array.shape}; it must be names")
+        names.append(tuple(array.tolist()))
+    return tuple(names) if len(names) == len(arrays) else None
 
 
 def _cloth(array: np.ndarray | None, particle_count: int) -> tuple[int, int, int] | None:

@@ -80,6 +80,17 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
     Raises:
         ParameterError: names the parameter or the folder.
     """
+    refuse_long_names(scene, node=node)
+    if scene.record.enabled:
+        _refuse_folder(Path(scene.record.folder).expanduser())
+
+
+def refuse_long_names(scene: Scene, *, node: str) -> None:
+    """Raise ParameterError for a scene with a name that is too long for the topics below a node's full name.
+
+    Raises:
+        ParameterError: names the parameter.
+    """
     gripper_leaf = _SENSOR_LEAF if scene.gripper.sensor_frame else _LONGEST_LEAF
     for kind, names, leaf in (
         ("gripper", scene.gripper_names, _ACTION_LEAF if scene.has_actions else gripper_leaf),
@@ -93,8 +104,6 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
                     f"{kind} name '{name[:20]}...' has {len(name)} letters; the topics of /{node.strip('/')} leave "
                     f"room for {max_length}: shorten it"
                 )
-    if scene.record.enabled:
-        _refuse_folder(Path(scene.record.folder).expanduser())
 
 
 def _refuse_folder(folder: Path) -> None:

@@ -16,10 +16,12 @@ from rclpy.executors import ExternalShutdownException
 from cloth_sim_ros.ros.client.gripper_client import describe_holds
 from cloth_sim_ros.ros.client.gripper_player import GripperError, GripperPlayer
 from cloth_sim_ros.ros.process.arguments import ArgumentsError, error_text, read_and_start
+from cloth_sim_ros.ros.process.option_types import node_name, waiting_time
 from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.ros.timing.cloth_clock import ClothTime
 from cloth_sim_ros.ros.timing.sim_time import SimTimeNode
 from cloth_sim_ros.scene.config_files import config_file
+from cloth_sim_ros.scene.parameters.declare import NAME
 from cloth_sim_ros.session.command_runner import INTERRUPTED
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
@@ -54,7 +56,7 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
         return _refuse(str(error))
     names = [script.gripper for script in scripts]
     for name in names:
-        if not name.isidentifier():
+        if not NAME.fullmatch(name):
             return _refuse(f"gripper name '{name}' is no ROS name; use letters, digits and _, a letter first")
         if names.count(name) > 1:
             return _refuse(f"{names.count(name)} scripts are for the gripper '{name}'; a gripper plays one")
@@ -134,10 +136,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--gripper", help="name of the gripper, instead of the script's; of a bag, the only one played")
     parser.add_argument("--topic", help="topic of a bag's poses (PoseStamped); default: those named <gripper>/target")
-    parser.add_argument("--node", default="/cloth_sim", help="full name of the cloth's node (default: %(default)s)")
+    parser.add_argument(
+        "--node",
+        type=node_name,
+        default="/cloth_sim",
+        help="full name of the cloth's node (default: %(default)s)",
+    )
     parser.add_argument(
         "--wait",
-        type=float,
+        type=waiting_time,
         default=30.0,
         metavar="SECONDS",
         help="how long to wait for the node, and while a cloth's time stands (default: %(default)s)",

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from cloth_sim_ros.ros.process.option_types import node_name
 from cloth_sim_ros.session.child_process import child_environment, module_command
 
 #: Longest wait for the drawing process to finish its file [s].
@@ -79,7 +80,12 @@ def _without_ros(arguments: Sequence[str]) -> list[str]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="cloth_viewer", description="Shows a running cloth in the Rerun viewer.")
-    parser.add_argument("--node", default="/cloth_sim", help="full name of the cloth's node (default: %(default)s)")
+    parser.add_argument(
+        "--node",
+        type=node_name,
+        default="/cloth_sim",
+        help="full name of the cloth's node (default: %(default)s)",
+    )
     output = parser.add_mutually_exclusive_group()
     output.add_argument("--save", metavar="OUT.rrd", type=Path, help="write a Rerun recording instead of showing it")
     output.add_argument("--connect", metavar="URL", help="show it in a viewer that runs, e.g. on another machine")

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 from rclpy.node import Node
 
 from cloth_sim_ros.ros.check.feasibility import check_feasibility
+from cloth_sim_ros.ros.check.node_refusals import refuse_long_names
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.parameters import LiveParameters, SceneNode
 from cloth_sim_ros.ros.io.services import Services
-from cloth_sim_ros.ros.io.tf_frames import FrameTransformer, TfFollower
+from cloth_sim_ros.ros.io.tf_frames import FrameTransformer, TfFollower, coming_obstacles
 from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
@@ -165,9 +166,9 @@ class Inputs:
             self._robot.observe(frame)
 
     def return_parameters(self, reason: str) -> None:
-        """Log an error, and set the ROS parameters back to values in force: accepted ones could not take effect."""
-        self._node.get_logger().error(f"parameters are set back: {reason}")
-        self.parameters.return_to(self._simulation.scene)
+        """Set the ROS parameters back to values in force, and log it: accepted ones could not take effect."""
+        names = self.parameters.return_to(self._simulation.scene)
+        self._node.get_logger().error(f"parameters are set back ({', '.join(names) or 'none'}): {reason}")
 
     def limit_times(self, now: int) -> None:
         """Limit remembered times to the present ROS time [ns], and drop later targets, because wall time was set back.
@@ -213,12 +214,21 @@ class Inputs:
         self.tf_follower.listen(self.parameters.accepted)
 
     def _start_poses(self, values: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
-        """Return the poses of coming obstacles that follow TF frames, to be set with other parameters by full name."""
+        """Return poses of coming obstacles that follow TF frames or a robot, by full name, to be set with values."""
         with self._failure.lock:
-            return self.tf_follower.start_poses(values, self.parameters.accepted)
+            scene = self.parameters.accepted
+            poses = self.tf_follower.start_poses(values, scene)
+            links = {} if self._robot is None else self._robot.poses()
+            for name in coming_obstacles(values, scene):
+                if name in links:
+                    poses |= {f"{name}.position": links[name][:3], f"{name}.orientation": links[name][3:]}
+        return poses
 
     def _check_parameters(self, values: dict[str, Any], scene: Scene) -> None:
+        refuse_long_names(scene, node=self._node.get_fully_qualified_name())
         check_feasibility(scene, self._simulation)
+        if scene.ensemble.file and not values.keys().isdisjoint((distribution := scene.distribution()).names):
+            distribution.check_members(scene, scene.ensemble.members, scene.ensemble.seed)
         self._simulation.check_scene(scene)
         self._queue.evict_target(SetParameters(values))
 

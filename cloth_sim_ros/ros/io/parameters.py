@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter_service import ParameterService
 
-from cloth_sim_ros.ros.check.node_refusals import check_values, empty_lists
+from cloth_sim_ros.ros.check.node_refusals import check_values, empty_lists, refuse_long_names
 from cloth_sim_ros.ros.check.unknown_overrides import unknown_sentences
 from cloth_sim_ros.ros.io.qos_rules import Override, overridable
 from cloth_sim_ros.ros.recording.initial_state import session_state
@@ -132,8 +132,9 @@ class SceneNode(SimTimeNode):
                 if not (entry := gripper_parameters.declaration(name)).live:
                     return SetParametersResult(successful=False, reason=read_only_message(name))
                 new.append(entry)
-        known = {entry.name for entry in new}
-        unknown = [name for name in names if name not in known and not self.has_parameter(name)]
+        # A camera or a gripper of that name has some of them already. The scene's check refuses it.
+        missing = {entry.name: entry for entry in new if not self.has_parameter(entry.name)}
+        unknown = [name for name in names if name not in missing and not self.has_parameter(name)]
         if unknown:
             raise UnknownParametersError(unknown, self.list_parameters([], 0).names)
         for parameter in parameter_list:
@@ -152,14 +153,14 @@ class SceneNode(SimTimeNode):
         ]
         self.declaring = True
         try:
-            for entry in new:
+            for entry in missing.values():
                 declare_entry(self, entry, entry.default)
         finally:
             self.declaring = False
         result = super().set_parameters_atomically(parameter_list)
         if not result.successful:
-            for entry in new:
-                self.undeclare_parameter(entry.name)
+            for name in missing:
+                self.undeclare_parameter(name)
         return result
 
 
@@ -189,6 +190,7 @@ def declare(node: Node, *, extend: Extension | None = None) -> Scene:
     if extend is not None:
         values, files = extend(values, files)
     scene = Scene.from_parameters(values, files=files)
+    refuse_long_names(scene, node=node.get_fully_qualified_name())
     known = Scene.declared_for(values)
     defaults = {**fabric_parameters(values, scene.files)[0], **raw_springs_defaults(values)}
     for entry in known:
@@ -272,8 +274,8 @@ class LiveParameters:
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
 
-    def return_to(self, scene: Scene) -> None:
-        """Set the ROS parameters to the values of a scene, because an accepted change could not take effect."""
+    def return_to(self, scene: Scene) -> list[str]:
+        """Set the ROS parameters to a scene's values, because an accepted change could not take effect; return them."""
         before, now = self.accepted.parameters(), scene.parameters()
         previous = self.accepted.entries
         remaining = {entry.name for entry in scene.entries}
@@ -281,14 +283,15 @@ class LiveParameters:
         self._returning = True
         try:
             changed = [entry for entry in scene.entries if before[entry.name] != now[entry.name]]
+            added = [entry.name for entry in previous if entry.name not in remaining]
             self._node.set_parameters(
                 [RosParameter(entry.name, _TYPES[entry.kind], _listed(now[entry.name])) for entry in changed]
             )
-            for entry in previous:
-                if entry.name not in remaining:
-                    self._node.undeclare_parameter(entry.name)
+            for name in added:
+                self._node.undeclare_parameter(name)
         finally:
             self._returning = False
+        return [*(entry.name for entry in changed), *added]
 
     def _validate(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         for change in changes:

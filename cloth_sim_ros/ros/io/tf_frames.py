@@ -160,6 +160,13 @@ class FrameTransformer:
         self._listener = tf2_ros.TransformListener(self._buffer, self._node)
 
 
+def coming_obstacles(values: Mapping[str, Any], scene: Scene) -> list[str]:
+    """Return the obstacles that a scene does not have, in the parameter `obstacles` among values to be set."""
+    obstacles = values.get("obstacles")
+    # Other types are refused later.
+    return [name for name in obstacles if name not in scene.obstacles] if isinstance(obstacles, list) else []
+
+
 class TfFollower:
     """Source of targets at followed TF frames; also opens grippers without commands after `gripper.timeout`.
 
@@ -189,6 +196,8 @@ class TfFollower:
         self._scene: Scene | None = None
         #: ROS time of the last warning of a frame that can't be followed [ns], by gripper or obstacle.
         self._last_warnings: dict[str, int] = {}
+        #: ROS time of the last frame in which the cloth was paused [ns]; 0 before the first.
+        self._pause_end = 0
 
     def events(self, now: int) -> list[Event]:
         """Return targets at followed TF frames that moved, and openings of silent grippers, at a ROS time [ns]."""
@@ -251,12 +260,11 @@ class TfFollower:
         Raises:
             FrameError: if a frame is not known.
         """
-        obstacles, poses = values.get("obstacles"), dict[str, tuple[float, ...]]()
-        # Other types are refused later, and so are invalid names of frames.
-        coming = [name for name in obstacles if name not in scene.obstacles] if isinstance(obstacles, list) else []
-        for name in coming:
+        poses = dict[str, tuple[float, ...]]()
+        for name in coming_obstacles(values, scene):
             present = scene.described[name].frame if name in scene.described else ""
             frame = values.get(f"{name}.frame", present)
+            # Invalid names of frames are refused later.
             if not isinstance(frame, str) or not frame or fault(frame):
                 continue
             try:
@@ -272,8 +280,9 @@ class TfFollower:
         return poses
 
     def restart_time(self) -> None:
-        """Forget the newest transforms, because the clock was set back."""
+        """Forget the newest transforms and the last pause, because the clock was set back."""
         self._last_transforms.clear()
+        self._pause_end = 0
 
     def _update_obstacle_frames(self) -> None:
         scene = self._simulation.scene
@@ -318,9 +327,12 @@ class TfFollower:
             self._last_motion[name] = min(self._last_motion[name], now)
         times = (self._last_target_time(name), self._last_motion.get(name))
         latest = max((time for time in times if time is not None), default=None)
+        if self._simulation.paused:
+            # Clients may wait until time passes again: silence counts from then on.
+            self._pause_end = now
         if not scene.gripper.timeout or latest is None or not self._simulation.grippers.is_closed(index):
             return []
-        silence = (now - latest) * 1e-9
+        silence = (now - max(latest, min(self._pause_end, now))) * 1e-9
         if silence <= scene.gripper.timeout:
             return []
         self._log.warn(f"silent {name}", f"'{name}' lets go: no target has come for {silence:.2f} s (gripper.timeout)")

@@ -85,12 +85,18 @@ class Stepper:
                 return None
             except (UnstableError, ValueError) as error:
                 changes = [entry for entry in entries if isinstance(entry.event, SetParameters)]
-                if changes and (stopped or isinstance(error, ValueError)):
+                without_changes = [entry for entry in entries if not isinstance(entry.event, SetParameters)]
+                event = error.event if isinstance(error, EventError) else None
+                if any(entry.event is event for entry in without_changes):
+                    # For example, an accepted event addresses an obstacle that was removed meanwhile.
+                    refused += [(entry, str(error)) for entry in without_changes if entry.event is event]
+                    entries = [entry for entry in entries if entry.event is not event]
+                elif changes and (stopped or isinstance(error, ValueError)):
                     # Each value passed its own check, but together, or with this motion, they fail. The parameters
                     # are refused; the other events take effect.
                     self.refused_parameters = str(error)
                     refused += [(entry, str(error)) for entry in changes]
-                    entries = [entry for entry in entries if not isinstance(entry.event, SetParameters)]
+                    entries = without_changes
                 elif isinstance(error, UnstableError) and not stopped:
                     stopped, self.trouble = True, str(error)
                     # Drop events that let time pass: the same step would fail again within this frame.
@@ -98,14 +104,7 @@ class Stepper:
                     entries = [entry for entry in entries if not _lets_time_pass(entry)]
                     entries.append(QueuedEvent(event=Pause(True)))
                 else:
-                    # An accepted event may address an obstacle that was removed meanwhile.
-                    impossible = self._impossible_events(entries)
-                    if not impossible:
-                        raise
-                    refused += impossible
-                    entries = [
-                        entry for entry in entries if all(entry is not refused_entry for refused_entry, _ in impossible)
-                    ]
+                    raise
         if frame.moved:
             self.trouble = ""
         self._results = _event_results(entries, frame)
@@ -142,16 +141,6 @@ class Stepper:
                 event = build_reset(scene, entry.answer is None)
             result.append(attrs.evolve(entry, event=event))
         return result
-
-    def _impossible_events(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
-        """Return pairs of an event that can't take effect any more, and the reason."""
-        impossible = []
-        for entry in entries:
-            try:
-                self.simulation.check(entry.event)
-            except EventError as error:
-                impossible.append((entry, str(error)))
-        return impossible
 
     def _advance(self, entries: list[QueuedEvent]) -> Frame:
         if not entries and self.simulation.will_stay_asleep:

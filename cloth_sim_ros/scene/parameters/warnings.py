@@ -214,6 +214,8 @@ def _ineffective_obstacle_parameters(scene: Scene, chosen: set[str]) -> list[str
     sentences = []
     for name, obstacle in scene.described.items():
         if name not in scene.obstacle_names:
+            if name == scene.coverage.obstacle:
+                continue
             close = difflib.get_close_matches(name, [*scene.obstacle_names, *scene.groups()], n=1)
             sentences.append(
                 f"{name}.shape is set and has no effect: obstacles does not name '{name}'; it may be added while the "
