@@ -21,7 +21,15 @@ from cloth_sim_ros.fit.joint_solver import JointSolution, align_all
 from cloth_sim_ros.fit.misfit import NOT_CONVERGED
 from cloth_sim_ros.fit.parameters import FitParameter
 from cloth_sim_ros.fit.recording import FitRecording, visible_mask
-from cloth_sim_ros.fit.scores import Score, driven_floors, excess_misfit, pooled_score, rigid_distances, score
+from cloth_sim_ros.fit.scores import (
+    Score,
+    driven_floors,
+    excess_misfit,
+    misfit_doubt,
+    pooled_score,
+    rigid_distances,
+    score,
+)
 from cloth_sim_ros.fit.screening import UnusedClouds
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
@@ -136,11 +144,6 @@ def build_result(
     recordings, point = problem.recordings, solution.point
     has_intervals = len(inside) >= MIN_MOTIONS
     covariance = (jackknife_covariance if has_intervals else noise_covariance)(problem, solution, inside)
-    doubt = _doubt(solution, inside)
-    estimates = [
-        _estimate(parameter, float(theta), covariance, k, within, doubt)
-        for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))
-    ]
     floors, basis = driven_floors(problem, point, inside)
     by_motion = dict(zip(inside, floors, strict=bool(floors)))
     motions, etas = _score_motions(problem, solution, covariance, inside, outside, by_motion)
@@ -151,6 +154,12 @@ def build_result(
     noise = solution.noise
     smooth = float(noise.variances.sum())
     compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
+    models_and_floors = tuple(zip(*compared, strict=True)) or ((), ())
+    doubt = _doubt(solution, inside) or misfit_doubt(*models_and_floors)
+    estimates = [
+        _estimate(parameter, float(theta), covariance, k, within, doubt)
+        for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))
+    ]
     information = np.asarray(np.linalg.pinv(covariance.matrix, rcond=1e-14), dtype=np.float64)
     return MotionFit(
         name=", ".join(r.name for r in recordings[:3])
@@ -174,7 +183,7 @@ def build_result(
         motions=tuple(motions),
         floor=pooled_score(floors),
         floor_basis=basis,
-        excess=excess_misfit(*zip(*compared, strict=True)) if compared else None,
+        excess=excess_misfit(*models_and_floors),
         n_clouds=sum(len(problem.used[k]) for k in inside),
         n_recorded_clouds=sum(len(r.clouds) for r in recordings),
         left_out=left_out,

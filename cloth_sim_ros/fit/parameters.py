@@ -15,12 +15,11 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
 
-#: Full names by short name; `bending` depends on the scene's bending model.
+#: Full names by short name.
 _SHORT = {
     "stretch": "material.stretch_modulus",
     "stretch_weft": "material.stretch_modulus_weft",
     "shear": "material.shear_modulus",
-    "bending_weft": "material.bending_modulus_weft",
     "bending_friction": "bending.friction_moment",
     "poisson": "material.poisson_ratio",
     "damping": "material.damping",
@@ -32,12 +31,16 @@ _SHORT = {
     "added_mass": "air.added_mass",
     "friction": "contact.friction",
 }
-_BENDING = "bending"
+#: Full names, of springs and of hinges, by short name: the scene's bending model chooses.
+_BENDING = {
+    "bending": ("bending.stiffness", "material.bending_modulus"),
+    "bending_weft": ("bending.stiffness_weft", "material.bending_modulus_weft"),
+}
 #: Further full names; each obstacle of the scene adds `<obstacle>.friction`.
 _GRIPPER_NAMES = ("gripper.stiffness", "gripper.damping", "gripper.friction")
 _OTHER_NAMES = (
-    "material.bending_modulus",
-    "bending.stiffness",
+    *("material.bending_modulus", "material.bending_modulus_weft"),
+    *("bending.stiffness", "bending.stiffness_weft"),
     "bending.yield_curvature",
     "contact.damping",
     *_GRIPPER_NAMES,
@@ -136,13 +139,14 @@ def acts_at_rest(scene: Scene, parameter: FitParameter) -> bool:
 
 
 def _full_name(scene: Scene, name: str) -> str:
-    if name == _BENDING:
-        return "bending.stiffness" if scene.bending.model in ("axial", "opposite") else "material.bending_modulus"
+    if name in _BENDING:
+        of_springs, of_hinges = _BENDING[name]
+        return of_springs if scene.bending.model in ("axial", "opposite") else of_hinges
     frictions = [f"{obstacle}.friction" for obstacle in scene.obstacle_names]
     known = {**_SHORT, **{full_name: full_name for full_name in (*_SHORT.values(), *_OTHER_NAMES, *frictions)}}
     if name in known:
         return known[name]
-    close = difflib.get_close_matches(name, [*known, _BENDING], n=1)
+    close = difflib.get_close_matches(name, [*known, *_BENDING], n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     if name in scene.parameters():
         raise FitError(f"'{name}' is no parameter of the sheet that clouds can identify; {_list_known(frictions)}")
@@ -150,21 +154,22 @@ def _full_name(scene: Scene, name: str) -> str:
 
 
 def _list_known(frictions: Sequence[str]) -> str:
-    return "known parameters: " + ", ".join([*_SHORT, _BENDING, *_OTHER_NAMES, *frictions])
+    return "known parameters: " + ", ".join([*_SHORT, *_BENDING, *_OTHER_NAMES, *frictions])
 
 
 def _fit_parameter(scene: Scene, name: str, start: float | None) -> FitParameter:
     (entry,) = (entry for entry in scene.entries if entry.name == name)
     current = scene.parameters()[name]
     value = (current[0] if isinstance(current, tuple) else current) if start is None else start
-    _check_effect(scene, name, value if math.isfinite(value) and value > 0.0 else 0.5 * min(entry.max or 1.0, 1.0))
     if not (math.isfinite(value) and value > 0.0):
+        _check_effect(scene, name, 0.5 * min(entry.max or 1.0, 1.0))
         remedy = f"a fit needs a start above 0, within a factor of about ten: --start {name}=VALUE"
         raise FitError(f"{name} begins at {value:g}; {remedy}")
     minimum = max(value / SEARCH_FACTOR, entry.min or 0.0)
     maximum = value * SEARCH_FACTOR if entry.max is None else min(value * SEARCH_FACTOR, entry.max)
     if not minimum <= value <= maximum:
         raise FitError(f"{name} begins at {value:g} {entry.unit}; it must be from {entry.min:g} to {entry.max:g}")
+    _check_effect(scene, name, value)
     return FitParameter(name=name, unit=entry.unit, start=value, minimum=minimum, maximum=maximum)
 
 

@@ -21,6 +21,10 @@ from cloth_sim_ros.simulation.events import Target
 _FLOOR_REACH = 1.5
 
 
+#: Root mean square of the points' distances in a few motions above which the fit is in doubt [floor].
+MAX_MISFIT = 2.0
+
+
 @attrs.frozen(eq=False, kw_only=True)
 class Score:
     """Distances of measured points from a cloth [m], and their statistics."""
@@ -160,6 +164,26 @@ def driven_floors(problem: JointProblem, point: Point, selected: Sequence[int]) 
 def pooled_score(scores: Sequence[Score]) -> Score | None:
     """Return the score of all distances together; None without any."""
     return score([entry.distances for entry in scores]) if scores else None
+
+
+def misfit_doubt(models: Sequence[Score], floors: Sequence[Score]) -> str:
+    """Return why a fit of a few motions is in doubt, if its error is far above the floor; empty if it is not.
+
+    For `MIN_MOTIONS` motions and more `excess_misfit` tells.
+
+    Args:
+        models: error of the cloth in each motion.
+        floors: camera's error at the driven particles in each motion.
+    """
+    from cloth_sim_ros.fit.clusters import MIN_MOTIONS
+
+    model, floor = pooled_score(models), pooled_score(floors)
+    if model is None or floor is None or len(models) >= MIN_MOTIONS or not model.rms > MAX_MISFIT * floor.rms:
+        return ""
+    return (
+        f"the simulated cloth does not follow the recording. Its points are off by {1e3 * model.rms:.2g} mm rms, the "
+        f"driven particles by {1e3 * floor.rms:.2g} mm. Begin elsewhere by --start, or end earlier by --until"
+    )
 
 
 def excess_misfit(models: Sequence[Score], floors: Sequence[Score]) -> float | None:

@@ -80,6 +80,9 @@ def read_clouds(
         content = input_file.read_bytes(path, max_bytes=_MAX_BYTES)
         read = _read_arrays if path.suffix.lower() == ".npz" else _read_csv
         times, clouds = read(content, count, dict(columns or {}), matched)
+        if not np.isfinite(times).all():
+            k = int(np.argmin(np.isfinite(times)))
+            raise ValueError(f"the time of cloud {k} is {times[k]}; it must be finite")
     except (OSError, ValueError, csv.Error) as error:
         raise FitError(f"{path}: {error}") from error
     order = np.argsort(times, kind="stable")

@@ -112,7 +112,7 @@ def describe_direction(direction: ConfoundedDirection, within: float) -> str:
     names = [parameter.name for parameter in direction.parameters]
     if direction.is_single:
         hardly = "these clouds hardly depend on it; " if direction.bound > 0.5 else ""
-        return f"{names[0]}: {hardly}its standard deviation is at least {_format_percent(direction.bound)}."
+        return f"{names[0]}: {hardly}its standard deviation is at least {_format_least(direction.bound)}."
     changes = " and ".join(
         f"{name} by {'+' if component > 0 else '-'}{abs(10 * component):.2g} %"
         for name, component in zip(names, direction.components, strict=True)
@@ -124,7 +124,7 @@ def describe_direction(direction: ConfoundedDirection, within: float) -> str:
         known = f": only their {'ratio' if direction.components[1] > 0 else 'product'} is identified"
     return (
         f"{' and '.join(names)} are confounded{known}. Changing {changes}, together, changes these clouds by less than "
-        f"the noise (standard deviation at least {_format_percent(direction.bound)})."
+        f"the noise (standard deviation at least {_format_least(direction.bound)})."
     )
 
 
@@ -157,6 +157,11 @@ def _remedy(direction: ConfoundedDirection, fit: Fit) -> str:
 
 def _format_percent(fraction: float) -> str:
     return "infinite" if not math.isfinite(fraction) else f"{100 * fraction:.2g} %" if fraction < 10.0 else "> 1000 %"
+
+
+def _format_least(fraction: float) -> str:
+    """Return a percentage for a sentence that says "at least"."""
+    return _format_percent(fraction).removeprefix("> ")
 
 
 def _format_number(value: float) -> str:

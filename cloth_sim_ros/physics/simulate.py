@@ -64,11 +64,13 @@ def simulate(
             Times that differ by rounding alone share an advance.
         tolerance: bound of the position error [m] that each second adds, times the amplification of a small
             perturbation in that second (at least 1); see docs/time_stepping.md. None limits steps by stability alone.
+            An integrator has its own instead.
         integrator: the integrator; by default `auto` chooses by stiffness and tolerance.
         on_progress: called after each advance with its duration [s]; for example `tqdm(total=until).update`.
 
     Raises:
-        ValueError: for times that do not ascend or are out of range, or a state with another number of particles.
+        ValueError: for times that do not ascend or are out of range, a state with another number of particles, or both
+            a tolerance and an integrator.
         UnstableError: if the motion does not stay finite.
     """
     from cloth_sim_ros.physics.control.automatic import make_integrator
@@ -84,6 +86,13 @@ def simulate(
         raise ValueError(f"until is {until} s; it must be above 0")
     if not (integrator is None or isinstance(integrator, Integrator)):
         raise ValueError(f"integrator is {integrator!r}; it must be an object such as Leapfrog(step=1e-4)")
+    if tolerance is not None:
+        tolerance = float(checked_floats("tolerance", tolerance, ()))
+    if integrator is not None and tolerance not in (None, TOLERANCE):
+        name = type(integrator).__name__
+        raise ValueError(
+            f"tolerance is {tolerance} m, and the integrator has its own: give it there, {name}(tolerance={tolerance})"
+        )
     requested_times = [until] if save_at is None else save_at
     times = checked_floats("save_at", requested_times, (np.size(requested_times),))
     if (np.diff(times) < 0.0).any() or not times.size or times[0] < 0.0 or times[-1] > until:

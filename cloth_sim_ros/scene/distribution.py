@@ -48,7 +48,11 @@ class VariableScene(Protocol):
 
 @attrs.frozen(kw_only=True)
 class Distribution:
-    """Joint distribution of uncertain parameters, whose logarithms are normally distributed."""
+    """Joint distribution of uncertain parameters, whose logarithms are normally distributed.
+
+    Raises:
+        DistributionError: for names given twice, values that are no numbers, and an invalid covariance.
+    """
 
     #: Full names of the parameters.
     names: tuple[str, ...]
@@ -58,6 +62,20 @@ class Distribution:
     covariance: tuple[tuple[float, ...], ...]
     #: Properties of the file that its user should know, a sentence each.
     notes: tuple[str, ...] = ()
+
+    def __attrs_post_init__(self) -> None:
+        """Raise DistributionError for names given twice, values that are no numbers, and an invalid covariance."""
+        for name in self.names:
+            if self.names.count(name) > 1:
+                raise DistributionError(f"parameter '{name}' is given twice")
+        if len(self.values) != len(self.names):
+            raise DistributionError(
+                f"there are {len(self.names)} names and {len(self.values)} values; give one for each"
+            )
+        for name, value in zip(self.names, self.values, strict=True):
+            _value({"name": name, "value": value})
+        rows = [list(row) for row in self.covariance]
+        _cholesky(_covariance(rows, len(self.names), range(len(self.names))))
 
     @classmethod
     def from_file(cls, path: str | Path) -> Distribution:
@@ -206,9 +224,6 @@ def _parse(content: bytes) -> Distribution:
     if len(used) > MAX_PARAMETERS:
         raise DistributionError(f"it has {len(used)} parameters; at most {MAX_PARAMETERS} are taken")
     names = tuple(entries[k]["name"] for k in used)
-    for name in names:
-        if names.count(name) > 1:
-            raise DistributionError(f"parameter '{name}' is given twice")
     left_out = [entry["name"] for k, entry in enumerate(entries) if k not in used]
     notes = [f"the fit did not determine {name}: it does not vary" for name in left_out]
     if isinstance(document.get("doubt"), str) and document["doubt"]:
@@ -227,7 +242,6 @@ def _parse(content: bytes) -> Distribution:
             for i, (k, is_stated) in enumerate(zip(used, stated, strict=True))
         ]
         covariance = [[scales[i] * c * scales[k] for k, c in enumerate(row)] for i, row in enumerate(covariance)]
-    _cholesky(covariance)
     return Distribution(
         names=names,
         values=tuple(_value(entries[k]) for k in used),

@@ -211,7 +211,8 @@ class Scene:
     files: dict[str, bytes] = attrs.field(factory=dict, repr=False)
 
     def __attrs_post_init__(self) -> None:
-        """Raise ParameterError for values that are invalid together, although each is in its range."""
+        """Raise ParameterError for invalid values, and for values that are invalid together."""
+        parameters.check(self.entries, self.parameters())
         check_values(self)
         check_sheet(self)
         keypoints.keypoint_particles(self)

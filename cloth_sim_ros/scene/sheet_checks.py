@@ -64,11 +64,10 @@ def check_sheet(scene: PhysicsScene) -> None:
             grid_threads_of(scene, sheet)
     elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none" and not len(sheet.triangles())):
         has_hinges = len(sheet.triangles()) > 0
-        fitting = (
-            "none, opposite, crossed, altitude or quadratic"
-            if has_hinges
-            else "none, or give the springs file triangles"
-        )
+        fitting = "none, or give the springs file triangles"
+        if has_hinges:
+            of_mesh = "" if isinstance(sheet, RawSprings) else ", shape_operator"
+            fitting = f"none, opposite, crossed, altitude{of_mesh} or quadratic"
         raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
     anchored_particles(scene, sheet)
     joined_particles(scene, sheet)
@@ -88,7 +87,12 @@ def check_sheet(scene: PhysicsScene) -> None:
             refuse_bending_modulus(model)
         except ValueError as error:
             name = "bending_modulus" if modulus else "bending_modulus_weft"
-            raise ParameterError(f"material.{name} is {getattr(scene.material, name)} N m: {error}") from error
+            fabric = scene.material.fabric
+            of_fabric = f", of the fabric '{fabric}'" if fabric else ""
+            remedy = "; or set material.bending_modulus and material.bending_modulus_weft to 0.0" if fabric else ""
+            raise ParameterError(
+                f"material.{name} is {getattr(scene.material, name)} N m{of_fabric}: {error}{remedy}"
+            ) from error
     if scene.bending.friction_moment and model not in ("crossed", "altitude", "quadratic"):
         raise ParameterError(
             f"bending.friction_moment is {scene.bending.friction_moment} N, and bending.model '{model}' has no hinges "

@@ -39,6 +39,13 @@ class Move:
     orientation: Vector | None = attrs.field(default=None, converter=attrs.converters.optional(_floats))
 
 
+def _truth(value: Any) -> bool:
+    """Return the truth value of a command; a text has none, because any text would be true."""
+    if isinstance(value, str | bytes):
+        raise ValueError(f"{value!r} is a text; it must be True or False")
+    return bool(value)
+
+
 def _python_values(value: Any) -> Any:
     """Return a copy in which numbers and arrays of numpy are plain ones."""
     if isinstance(value, dict):
@@ -73,7 +80,7 @@ class Grasp:
 
     gripper: str
     #: Any truth value, numpy's included.
-    closed: bool = attrs.field(converter=bool)
+    closed: bool = attrs.field(converter=_truth)
     #: Distance between the pads' faces at which they stop [m]; None to close or open them entirely.
     opening: float | None = attrs.field(default=None, converter=attrs.converters.optional(float))
     #: Largest force of each pad [N] and largest speed [m/s] until the next grasp; 0 for those of the scene.
@@ -95,7 +102,7 @@ class SetParameters:
 class Pause:
     """Command to stop simulated time (True), or to resume it (False)."""
 
-    paused: bool = attrs.field(converter=bool)
+    paused: bool = attrs.field(converter=_truth)
 
 
 @attrs.frozen

@@ -89,14 +89,27 @@ def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
     # The observed wrench is that of the previous frame; the first frame has none.
     wrenches = np.concatenate([np.zeros_like(run.wrenches[:1]), run.wrenches[:-1]])
     arrays = {
-        "observation.state": run.poses[:-1],
+        "observation.state": _known_poses(run.poses[:-1], run.actions),
         "observation.environment_state": run.positions[:-1],
         "observation.velocities": run.velocities[:-1],
         "observation.wrench": wrenches,
         "observation.obstacles": run.obstacle_poses[:-1],
-        "action": run.actions,
+        "action": _known_poses(run.actions, run.actions),
     }
     return {name: values.reshape(count, -1) for name, values in arrays.items() if values.size}
+
+
+def _known_poses(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    """Return rows of poses or actions (T, grippers, 8) without NaN: a gripper's first target stands before it.
+
+    A gripper without any target is at the origin.
+    """
+    rows = rows.copy()
+    for k in range(rows.shape[1]):
+        targets = actions[~np.isnan(actions[:, k, 0]), k, :7]
+        first_target = targets[0] if len(targets) else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        rows[np.isnan(rows[:, k, 0]), k, :7] = first_target
+    return rows
 
 
 class _Dataset:

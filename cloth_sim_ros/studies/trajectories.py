@@ -41,7 +41,8 @@ class Trajectory:
     #: Particle positions [m] and velocities [m/s], shape (T + 1, n, 3).
     positions: Floats
     velocities: Floats
-    #: Pose of each gripper: position [m], quaternion x, y, z, w, closed (1) or open (0); shape (T + 1, grippers, 8).
+    #: Pose of each gripper: position [m], quaternion x, y, z, w, closed (1) or open (0); shape (T + 1, grippers, 8). A
+    #: gripper is nowhere until its first target: NaN, in actions too.
     poses: Floats
     #: Latest command of each gripper: target position [m], quaternion, close (1) or open (0); shape (T, grippers, 8).
     actions: Floats
@@ -103,8 +104,11 @@ class _TrajectoryRecorder:
         names = ("positions", "velocities", "poses", "actions", "wrenches", "obstacle_poses")
         self._arrays: dict[str, list[Any]] = {name: [] for name in names}
         grippers = len(simulation.grippers.names)
-        self._action = np.zeros((grippers, 8))
-        self._action[:, 6] = 1.0
+        self._action = np.full((grippers, 8), np.nan)
+        for k in range(grippers):
+            if simulation.grippers.is_placed(k):
+                self._action[k, :7] = simulation.grippers.poses()[k]
+            self._action[k, 7] = simulation.grippers.is_closed(k)
         self._record_state()
 
     def add(self, events: list[Any], frame: Any) -> None:
@@ -116,6 +120,8 @@ class _TrajectoryRecorder:
                 row[:3] = event.position
                 if event.orientation is not None:
                     row[3:7] = event.orientation
+                elif np.isnan(row[3]):
+                    row[3:7] = (0.0, 0.0, 0.0, 1.0)
             elif isinstance(event, Grasp):
                 self._action[names.index(event.gripper), 7] = event.closed
         self._arrays["actions"].append(self._action.copy())
@@ -138,8 +144,12 @@ class _TrajectoryRecorder:
         simulation = self._simulation
         grippers = simulation.grippers
         closed = [[float(grippers.is_closed(k))] for k in range(len(grippers.names))]
+        poses = grippers.poses()
+        for k in range(len(poses)):
+            if not grippers.is_placed(k):
+                poses[k] = np.nan
         self._arrays["positions"].append(simulation.state.x.T.astype(np.float32))
         self._arrays["velocities"].append(simulation.state.v.T.astype(np.float32))
-        self._arrays["poses"].append(np.concatenate([grippers.poses(), np.reshape(closed, (-1, 1))], axis=1))
+        self._arrays["poses"].append(np.concatenate([poses, np.reshape(closed, (-1, 1))], axis=1))
         none = np.zeros((0, 7))
         self._arrays["obstacle_poses"].append(none if simulation.obstacles is None else simulation.obstacles.poses())

@@ -156,6 +156,8 @@ def test_single_unidentified_parameter_is_alone() -> None:
     (direction,) = confounded_directions(sought("x", "y"), np.diag([1e6, 1.0]), 0.025)
     assert direction.is_single
     assert "hardly depend" in describe_direction(direction, 0.025)
+    (direction,) = confounded_directions(sought("x", "y"), np.diag([1e6, 1e-4]), 0.025)
+    assert describe_direction(direction, 0.025).endswith("its standard deviation is at least 1000 %.")
 
 
 def test_signed_distance_of_plane_and_sphere() -> None:
@@ -230,3 +232,17 @@ def test_recording_part_selects_clouds_and_events() -> None:
     assert part.seconds.tolist() == [0.1, 0.3, 0.5]
     assert [cloud[0, 0] for cloud in part.clouds] == [0.0, 2.0, 4.0]
     assert len(part.events) == 5
+
+
+def test_weft_bending_is_that_of_the_bending_model() -> None:
+    axial = Scene.from_parameters({"bending.stiffness_weft": 2.0})
+    for name in ("bending_weft", "bending.stiffness_weft"):
+        assert [parameter.name for parameter in choose_parameters(axial, [name])] == ["bending.stiffness_weft"]
+    moduli = {"bending.model": "crossed", "material.bending_modulus": 1e-5, "material.bending_modulus_weft": 2e-5}
+    (parameter,) = choose_parameters(Scene.from_parameters(moduli), ["bending_weft"])
+    assert (parameter.name, parameter.start) == ("material.bending_modulus_weft", 2e-5)
+
+
+def test_start_beyond_the_range_is_refused_by_its_own_value() -> None:
+    with pytest.raises(FitError, match=r"material\.density begins at 1e-10 kg/m\^2; it must be from 1e-09"):
+        choose_parameters(Scene(), ["density"], {"density": 1e-10})

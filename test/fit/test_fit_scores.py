@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.fit.recording import FitRecording
-from cloth_sim_ros.fit.scores import Score, excess_misfit, gripper_positions, pooled_score
+from cloth_sim_ros.fit.scores import Score, excess_misfit, gripper_positions, misfit_doubt, pooled_score
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Target
 
@@ -51,6 +51,15 @@ def test_misfit_needs_five_motions_with_a_floor() -> None:
     assert excess_misfit(models, floors) is not None
     assert excess_misfit(models[:4], floors[:4]) is None
     assert excess_misfit(models, [*floors[:4], Score(distances=np.zeros(0))]) is None
+
+
+def test_fit_of_one_motion_far_from_it_is_in_doubt() -> None:
+    random = np.random.default_rng(4)
+    models, floors = scores(random, 0.009, 5), scores(random, 0.0018, 5)
+    assert "does not follow the recording. Its points are off by 23 mm rms, the driven" in misfit_doubt(models[:1], floors[:1])
+    assert misfit_doubt(floors[:1], floors[1:2]) == ""
+    assert misfit_doubt(models, floors) == "", "excess_misfit tells"
+    assert misfit_doubt([], []) == ""
 
 
 def test_no_scores_have_no_pooled_score() -> None:

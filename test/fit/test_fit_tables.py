@@ -196,6 +196,9 @@ def test_faulty_arrays_are_refused(tmp_path: Path) -> None:
     np.savez(path, times=[0.0], points=np.zeros((1, 4)))
     with pytest.raises(FitError, match=r"they must be \(clouds,\) and \(clouds, points, 3\)"):
         read_clouds(path, 4)
+    np.savez(path, times=[0.0, np.nan, 2.0], points=np.zeros((3, 4, 3)))
+    with pytest.raises(FitError, match="the time of cloud 1 is nan; it must be finite"):
+        read_clouds(path, 4)
     np.savez(path, times=[], points=np.zeros((0, 4, 3)))
     with pytest.raises(FitError, match="the table has no cloud"):
         read_clouds(path, 4)

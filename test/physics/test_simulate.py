@@ -4,12 +4,25 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cloth_sim_ros import Drag, Extrapolated, Force, Gravity, Model, PairSprings, Scene, Simulation, State, simulate
+from cloth_sim_ros import (
+    Drag,
+    Extrapolated,
+    Force,
+    Gravity,
+    Leapfrog,
+    Model,
+    PairSprings,
+    Scene,
+    Simulation,
+    State,
+    simulate,
+)
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene as NodeScene
@@ -32,13 +45,15 @@ def apart() -> State:
         (0.5, {"save_at": [0.6]}, "from 0 to until, 0.5 s"),
         (0.5, {"save_at": [np.nan]}, "finite"),
         (0.5, {"integrator": "auto"}, "integrator is 'auto'"),
+        (0.5, {"tolerance": "a"}, "tolerance is 'a'"),
+        (0.5, {"tolerance": 1e-8, "integrator": Leapfrog()}, "give it there, Leapfrog(tolerance=1e-08)"),
         (None, {}, "until is nan"),
         (-1.0, {}, "until is -1.0 s; it must be above 0"),
         (10**400, {}, "until is 1000"),
     ],
 )
 def test_invalid_arguments_are_refused(until: Any, options: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValueError, match=words.replace("[", r"\[").replace("]", r"\]")):
+    with pytest.raises(ValueError, match=re.escape(words)):
         simulate(pair(), apart(), until, **options)
 
 
@@ -144,3 +159,9 @@ class NotFinite(Force):
 def test_force_without_finite_values_ends_the_motion(tolerance: float | None) -> None:
     with pytest.raises(UnstableError, match="check that all forces are finite"):
         simulate(Model([1.0], [NotFinite()]), State([[0.0, 0.0, 0.0]]), 0.05, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("step", [1e-3, 9e-4, 1.5e-3])
+def test_fixed_step_is_told_although_frames_divide_it(step: float) -> None:
+    motion = simulate(pair(), apart(), 0.1, integrator=Leapfrog(step=step))
+    assert {(advance.limited_by, "fixed step of" in advance.reason) for advance in motion.advances} == {("step", True)}

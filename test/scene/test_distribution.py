@@ -189,3 +189,23 @@ def test_distant_values_of_the_file_are_told() -> None:
     assert read(drag(deviation=0.1)).differences(scene) == []
     (sentence,) = read(drag(value=0.3, deviation=0.1)).differences(scene)
     assert sentence.startswith("air.drag is 0.2 in the scene and 0.3 in the file")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"covariance": ((0.01, 0.009), (0.0, 0.01))}, "covariance is not symmetric: 0 and 0.009"),
+        ({"covariance": ((0.01,),)}, "covariance must have 2 rows of 2 numbers"),
+        ({"covariance": ((0.01, 0.0), (0.0, float("nan")))}, "covariance has an entry of a used parameter that is no"),
+        ({"covariance": ((0.01, 0.02), (0.02, 0.01))}, "covariance is not positive definite"),
+        ({"names": ("air.drag", "air.drag")}, "parameter 'air.drag' is given twice"),
+        ({"values": (None,)}, "there are 2 names and 1 values; give one for each"),
+        ({"values": (None, float("nan"))}, "the value of material.density is nan; it must be a number"),
+    ],
+)
+def test_constructor_refuses_what_a_file_may_not_hold(change: dict[str, Any], reason: str) -> None:
+    fields: dict[str, Any] = {"names": ("air.drag", "material.density"), "values": (None, 0.2)}
+    fields["covariance"] = ((0.01, 0.0), (0.0, 0.01))
+    Distribution(**fields)
+    with pytest.raises(DistributionError, match=reason):
+        Distribution(**{**fields, **change})

@@ -181,6 +181,10 @@ ACROSS = {"material.warp_direction": [0.0, 0.0, 1.0]}
             r"material\.bending_modulus_weft is 1e-05 N m: bending model 'axial'",
         ),
         (
+            {"material.fabric": "denim", "bending.model": "axial"},
+            "of the fabric 'denim': .*; or set material.bending_modulus and material.bending_modulus_weft to 0.0",
+        ),
+        (
             {"bending.model": "crossed", "material.bending_modulus": 1e-5, "material.bending_modulus_weft": 2e-5}
             | OBLIQUE,
             r"material\.bending_modulus is 1e-05 along the warp",

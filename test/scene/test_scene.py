@@ -70,6 +70,24 @@ def test_invalid_scene_is_refused_with_value_limit_and_remedy(values, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"rate": 0.0}, "rate is 0.0 Hz; it must be at least 0.1 Hz"),
+        (
+            {"membrane": sections.MembraneParameters(model="triangle")},
+            "membrane.model is 'triangle'; it must be one of",
+        ),
+        ({"gripper": sections.GripperParameters(radius=-1.0)}, "gripper.radius is -1.0 m; it must be at least"),
+        ({"bending": sections.BendingParameters(model="Crossed")}, "bending.model is 'Crossed'; it must be one of"),
+    ],
+)
+def test_constructor_refuses_what_parameters_may_not_be(fields, words):
+    with pytest.raises(ParameterError) as caught:
+        Scene(**fields)
+    assert words in str(caught.value)
+
+
 @given(
     st.fixed_dictionaries(
         {

@@ -357,3 +357,12 @@ def test_no_obstacle_moves_in_scene_without_any():
     simulation.advance([MoveObstacles([], np.empty((0, 7)))])
     reference.advance()
     assert simulation.state.digest() == reference.state.digest()
+
+
+def test_text_commands_no_grasp_and_no_pause():
+    # Any text would be true.
+    with pytest.raises(ValueError, match="'false' is a text; it must be True or False"):
+        Grasp("gripper", "false")
+    with pytest.raises(ValueError, match="'no' is a text"):
+        Pause("no")
+    assert Grasp("gripper", np.bool_(False)).closed is False

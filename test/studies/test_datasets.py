@@ -241,3 +241,35 @@ def test_aggregated_statistics_equal_row_statistics() -> None:
     assert np.allclose(total["mean"], rows.mean(axis=0))
     assert np.allclose(total["std"], rows.std(axis=0))
     assert np.array_equal(total["max"], rows.max(axis=0))
+
+
+def test_gripper_is_nowhere_before_its_first_target(tmp_path: Path) -> None:
+    import zarr
+
+    (tmp_path / "late.py").write_text(
+        "from cloth_sim_ros import Target\n"
+        "def move(seen):\n"
+        "    return [Target('b', (0.2, 0.0, 0.8))] if seen.frame == 3 else []\n"
+    )
+    parameters = {"cloth.resolution": [4, 5], "grippers": ["a", "b"]}
+    values = {"scene": "cloth_sim.yaml", "parameters": parameters, "policy": "late.py:move", "duration": 0.1}
+    study = study_file.from_dict({**values, "runs": 1}, folder=tmp_path)
+    folder = StudyFolder(tmp_path / "out")
+    samples, _ = sample_and_estimate(study, 1)
+    folder.create(study, samples, "")
+    perform(folder, study, 0, samples[0])
+    assert main(["export", str(folder.path), "--zarr", str(tmp_path / "set.zarr")]) == 0
+    group = zarr.open_group(str(tmp_path / "set.zarr"), mode="r")
+    for name, first in (("poses", 4), ("actions", 3)):
+        rows = group[name][0]
+        assert np.isnan(rows[:, 0, :7]).all()
+        assert np.isnan(rows[:first, 1, :7]).all()
+        assert np.allclose(rows[first:, 1, :7], (0.2, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0))
+        assert (rows[:, :, 7] == 0.0).all()
+    assert main(["export", str(folder.path), "--lerobot", str(tmp_path / "set"), "--task", "wait"]) == 0
+    info = json.loads((tmp_path / "set" / "meta" / "info.json").read_text())
+    table = pq.read_table(tmp_path / "set" / info["data_path"].format(chunk_index=0, file_index=0))
+    for name in ("observation.state", "action"):
+        rows = np.array(table[name].to_pylist()).reshape(-1, 2, 8)
+        assert np.allclose(rows[:, 1, :7], (0.2, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0))
+        assert np.allclose(rows[:, 0, :7], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))

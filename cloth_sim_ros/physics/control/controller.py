@@ -45,6 +45,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     ExtrapolationTableau,
     step_counts,
 )
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
@@ -766,6 +767,10 @@ class Controller:
         """Return the report of the advance: steps, evaluations, error, limiting factor, and reason in words."""
         options, frame, step = self.options, self._frame, self._frame.min_step
         has_long_limit = self._duration <= CONSTANTS.stability_safety * self.limit
+        equal_step = 0.0
+        if options.step is not None:
+            # Pieces round their numbers of steps up.
+            equal_step = self._duration / (steps_for(self._duration, options.step) + frame.n_pieces - 1)
         flagged = int(self._has_tolerance and frame.error > self.budget)
         limit, reason = describe(
             options.name,
@@ -774,6 +779,7 @@ class Controller:
             self.n_runs,
             step,
             frame.max_ratio,
+            equal_step=equal_step,
             has_fewest_steps=has_long_limit and step >= self._duration / self._division.min_steps(self.n_runs),
             is_refined=frame.refined_time > 0.5 * self._duration,
             single_precision=frame.single_precision,

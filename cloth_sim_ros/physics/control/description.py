@@ -30,6 +30,7 @@ def describe(
     ratio: int,
     *,
     has_fewest_steps: bool,
+    equal_step: float,
     is_refined: bool,
     single_precision: bool,
     n_pieces: int,
@@ -44,12 +45,13 @@ def describe(
         step: smallest step [s].
         ratio: multirate ratio.
         has_fewest_steps: true if stability needs no more steps than any frame has.
+        equal_step: the fixed step, shortened so that an advance has equal steps [s]; 0 for none.
         is_refined: true if the steps are shorter than stability requires.
         single_precision: true if a run used single precision.
         n_pieces: number of pieces of a divided frame; 1 if it is whole.
     """
     limit = "frame" if has_fewest_steps else "stability"
-    if fixed_step is not None and step > 0.99 * fixed_step:
+    if fixed_step is not None and step > 0.99 * equal_step:
         limit = "step"
     elif tolerance is not None and is_refined:
         limit = "accuracy"
