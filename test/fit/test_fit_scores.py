@@ -56,7 +56,9 @@ def test_misfit_needs_five_motions_with_a_floor() -> None:
 def test_fit_of_one_motion_far_from_it_is_in_doubt() -> None:
     random = np.random.default_rng(4)
     models, floors = scores(random, 0.009, 5), scores(random, 0.0018, 5)
-    assert "does not follow the recording. Its points are off by 23 mm rms, the driven" in misfit_doubt(models[:1], floors[:1])
+    assert "does not follow the recording. Its points are off by 23 mm rms, the driven" in misfit_doubt(
+        models[:1], floors[:1]
+    )
     assert misfit_doubt(floors[:1], floors[1:2]) == ""
     assert misfit_doubt(models, floors) == "", "excess_misfit tells"
     assert misfit_doubt([], []) == ""

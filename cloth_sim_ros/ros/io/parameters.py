@@ -111,10 +111,10 @@ class SceneNode(SimTimeNode):
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters together or not at all; return the result as rclpy does, with the reason of a refusal.
 
-        It differs in four ways. The error names the parameters that do not exist. Setting `<name>.shape` of a new
+        It differs in five ways. The error names the parameters that do not exist. Setting `<name>.shape` of a new
         obstacle first declares all parameters of that obstacle; the same holds for a parameter of a single gripper. A
-        value at the excluded end of a range is refused with that end, while rclpy would name the next number. The
-        values that `complete` returns are set too.
+        value at the excluded end of a range is refused with that end, while rclpy would name the next number. A
+        parameter of the start is refused with that remedy. The values that `complete` returns are set too.
 
         Raises:
             UnknownParametersError: names each unknown parameter and the known one with the most similar spelling.
@@ -138,10 +138,14 @@ class SceneNode(SimTimeNode):
         if unknown:
             raise UnknownParametersError(unknown, self.list_parameters([], 0).names)
         for parameter in parameter_list:
-            bounds = self.entries.get(parameter.name)
-            if bounds is not None and bounds.kind == "double" and bounds.excludes_min and parameter.value == bounds.min:
+            declared = self.entries.get(parameter.name)
+            if declared is None:
+                continue
+            if not declared.live:
+                return SetParametersResult(successful=False, reason=read_only_message(parameter.name))
+            if declared.kind == "double" and declared.excludes_min and parameter.value == declared.min:
                 refused = Faults()
-                refused.collect(partial(bounds.check, parameter.value))
+                refused.collect(partial(declared.check, parameter.value))
                 return SetParametersResult(successful=False, reason="; ".join(refused.sentences))
         try:
             joined = self.complete({parameter.name: parameter.value for parameter in parameter_list})
