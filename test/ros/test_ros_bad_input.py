@@ -219,7 +219,7 @@ def check_parameters(client: Client) -> None:
         assert not answer.results[0].successful
         return str(answer.results[0].reason)
 
-    assert "read-only" in refusal("rate", double_value=30.0)
+    assert "rate can't change while the cloth runs; set it at start" in refusal("rate", double_value=30.0)
     assert "out of range" in refusal("material.density", double_value=-1.0)
     assert "above 0.0 N/m" in refusal("material.stretch_modulus", double_value=0.0)
     assert "Wrong parameter type" in refusal("material.density", string_value="heavy")
