@@ -154,8 +154,8 @@ def build_result(
     noise = solution.noise
     smooth = float(noise.variances.sum())
     compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
-    models_and_floors = tuple(zip(*compared, strict=True)) or ((), ())
-    doubt = _doubt(solution, inside) or misfit_doubt(*models_and_floors)
+    models, floors_of_models = [model for model, _ in compared], [floor for _, floor in compared]
+    doubt = _doubt(solution, inside) or misfit_doubt(models, floors_of_models, TOLERANCE)
     estimates = [
         _estimate(parameter, float(theta), covariance, k, within, doubt)
         for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))
@@ -183,7 +183,7 @@ def build_result(
         motions=tuple(motions),
         floor=pooled_score(floors),
         floor_basis=basis,
-        excess=excess_misfit(*models_and_floors),
+        excess=excess_misfit(models, floors_of_models),
         n_clouds=sum(len(problem.used[k]) for k in inside),
         n_recorded_clouds=sum(len(r.clouds) for r in recordings),
         left_out=left_out,

@@ -166,7 +166,7 @@ def pooled_score(scores: Sequence[Score]) -> Score | None:
     return score([entry.distances for entry in scores]) if scores else None
 
 
-def misfit_doubt(models: Sequence[Score], floors: Sequence[Score]) -> str:
+def misfit_doubt(models: Sequence[Score], floors: Sequence[Score], resolution: float) -> str:
     """Return why a fit of a few motions is in doubt, if its error is far above the floor; empty if it is not.
 
     For `MIN_MOTIONS` motions and more `excess_misfit` tells.
@@ -174,11 +174,14 @@ def misfit_doubt(models: Sequence[Score], floors: Sequence[Score]) -> str:
     Args:
         models: error of the cloth in each motion.
         floors: camera's error at the driven particles in each motion.
+        resolution: error of the simulations [m]: clouds without noise have no floor above it.
     """
     from cloth_sim_ros.fit.clusters import MIN_MOTIONS
 
     model, floor = pooled_score(models), pooled_score(floors)
-    if model is None or floor is None or len(models) >= MIN_MOTIONS or not model.rms > MAX_MISFIT * floor.rms:
+    if model is None or floor is None or len(models) >= MIN_MOTIONS:
+        return ""
+    if not model.rms > MAX_MISFIT * max(floor.rms, resolution):
         return ""
     return (
         f"the simulated cloth does not follow the recording. Its points are off by {1e3 * model.rms:.2g} mm rms, the "

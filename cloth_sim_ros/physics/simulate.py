@@ -90,9 +90,8 @@ def simulate(
         tolerance = float(checked_floats("tolerance", tolerance, ()))
     if integrator is not None and tolerance not in (None, TOLERANCE):
         name = type(integrator).__name__
-        raise ValueError(
-            f"tolerance is {tolerance} m, and the integrator has its own: give it there, {name}(tolerance={tolerance})"
-        )
+        remedy = f"give it there, {name}(tolerance={tolerance})" if hasattr(integrator, "tolerance") else "leave it out"
+        raise ValueError(f"tolerance is {tolerance} m, and the integrator {name} decides on its own: {remedy}")
     requested_times = [until] if save_at is None else save_at
     times = checked_floats("save_at", requested_times, (np.size(requested_times),))
     if (np.diff(times) < 0.0).any() or not times.size or times[0] < 0.0 or times[-1] > until:

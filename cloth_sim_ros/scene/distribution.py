@@ -46,6 +46,13 @@ class VariableScene(Protocol):
     def changed(self, values: dict[str, Any]) -> VariableScene: ...
 
 
+def _plain(values: Any) -> Any:
+    """Return tuples of plain numbers in place of numpy's arrays and numbers."""
+    if hasattr(values, "tolist"):
+        values = values.tolist()
+    return tuple(map(_plain, values)) if isinstance(values, tuple | list) else values
+
+
 @attrs.frozen(kw_only=True)
 class Distribution:
     """Joint distribution of uncertain parameters, whose logarithms are normally distributed.
@@ -57,9 +64,9 @@ class Distribution:
     #: Full names of the parameters.
     names: tuple[str, ...]
     #: Their values, None if unknown; a scene's own values replace them.
-    values: tuple[float | None, ...]
+    values: tuple[float | None, ...] = attrs.field(converter=_plain)
     #: Covariance of the logarithms, shape (n, n); a diagonal entry is the square of a relative standard deviation.
-    covariance: tuple[tuple[float, ...], ...]
+    covariance: tuple[tuple[float, ...], ...] = attrs.field(converter=_plain)
     #: Properties of the file that its user should know, a sentence each.
     notes: tuple[str, ...] = ()
 
@@ -149,15 +156,28 @@ class Distribution:
                     f"'{name}' is 0 in the scene, and a relative deviation does not change it; set it, or leave it out"
                 )
 
-    def check_members(self, scene: VariableScene, members: int = 0, seed: int = 0) -> None:
+    def check_members(
+        self, scene: VariableScene, members: int = 0, seed: int = 0, *, extremes_alone: bool = False
+    ) -> None:
         """Raise DistributionError if a parameter cannot vary in a scene, or a member's values make an invalid scene.
+
+        Args:
+            scene: the scene.
+            members: see `factors`.
+            seed: seed of the sample.
+            extremes_alone: true to check only the members that have the least or the largest factor of a parameter.
 
         Raises:
             DistributionError: naming parameter or member.
         """
         self.check(scene)
-        for k, factors in enumerate(self.factors(members, seed)):
-            values = self.member_values(scene, factors)
+        rows = self.factors(members, seed)
+        checked = list(range(len(rows)))
+        if extremes_alone:
+            columns = [[row[k] for row in rows] for k in range(len(self.names))]
+            checked = sorted({column.index(choose(column)) for column in columns for choose in (min, max)})
+        for k in checked:
+            values = self.member_values(scene, rows[k])
             try:
                 scene.changed(values)
             except ParameterError as error:
@@ -289,7 +309,8 @@ def _covariance(rows: Any, size: int, used: Sequence[int]) -> list[list[float]]:
     if not all(_is_number(entry) for row in covariance for entry in row):
         raise DistributionError("covariance has an entry of a used parameter that is no finite number")
     for i, row in enumerate(covariance):
-        if not 0.0 < row[i] <= MAX_DEVIATION * MAX_DEVIATION:
+        # The square of a stated deviation may be rounded.
+        if not 0.0 < row[i] <= MAX_DEVIATION * MAX_DEVIATION * (1.0 + _ASYMMETRY):
             raise DistributionError(
                 f"covariance has {row[i]:g} on its diagonal; squares of relative deviations are above 0 and at most "
                 f"{MAX_DEVIATION * MAX_DEVIATION:g}"

@@ -16,6 +16,7 @@ from cloth_sim_ros.physics.state.controller_state import reset_step_control
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.topology_id import difference
+from cloth_sim_ros.simulation.bodies.bodies import adapt_states
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.events import Grasp
 from cloth_sim_ros.simulation.sleep import wake
@@ -62,6 +63,14 @@ def _bodies_difference(state: State, scene: Scene) -> str:
     return ""
 
 
+def _follow_obstacles(initial: State, scene: Scene) -> None:
+    """Adapt the state that a reset restores to obstacles that came or went while the cloth ran, by their names."""
+    assert initial.bodies is not None
+    names = initial.bodies[1]
+    if names != tuple(scene.obstacle_names) and set(names) <= set(scene.described):
+        adapt_states(attrs.evolve(scene, obstacles=names or ("",)), scene, (initial,))
+
+
 def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
     """Return the state that a reset restores, and a copy of it or of `state` to start from; raise ValueError if unfit.
 
@@ -75,6 +84,8 @@ def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
     mismatch = difference(state, initial.cloth) if state is not None and initial.cloth is not None else ""
     if mismatch:
         raise ValueError(f"the state {mismatch}: a state only continues the cloth that it was saved from")
+    if state is not None and initial.bodies is not None:
+        _follow_obstacles(initial, scene)
     # The state may have been saved asleep under other parameters.
     wake(initial)
     stop_anchored(scene, initial)

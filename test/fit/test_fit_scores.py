@@ -57,11 +57,13 @@ def test_fit_of_one_motion_far_from_it_is_in_doubt() -> None:
     random = np.random.default_rng(4)
     models, floors = scores(random, 0.009, 5), scores(random, 0.0018, 5)
     assert "does not follow the recording. Its points are off by 23 mm rms, the driven" in misfit_doubt(
-        models[:1], floors[:1]
+        models[:1], floors[:1], 1e-4
     )
-    assert misfit_doubt(floors[:1], floors[1:2]) == ""
-    assert misfit_doubt(models, floors) == "", "excess_misfit tells"
-    assert misfit_doubt([], []) == ""
+    assert misfit_doubt(floors[:1], floors[1:2], 1e-4) == ""
+    assert misfit_doubt(models, floors, 1e-4) == "", "excess_misfit tells"
+    assert misfit_doubt([], [], 1e-4) == ""
+    exact = [Score(distances=np.full(4, 1e-8))]
+    assert misfit_doubt([Score(distances=np.full(20, 1e-6))], exact, 1e-4) == "", "clouds without noise"
 
 
 def test_no_scores_have_no_pooled_score() -> None:

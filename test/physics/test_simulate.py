@@ -21,6 +21,7 @@ from cloth_sim_ros import (
     Scene,
     Simulation,
     State,
+    SymplecticEuler,
     simulate,
 )
 from cloth_sim_ros.physics.integrators.base import UnstableError
@@ -47,6 +48,7 @@ def apart() -> State:
         (0.5, {"integrator": "auto"}, "integrator is 'auto'"),
         (0.5, {"tolerance": "a"}, "tolerance is 'a'"),
         (0.5, {"tolerance": 1e-8, "integrator": Leapfrog()}, "give it there, Leapfrog(tolerance=1e-08)"),
+        (0.5, {"tolerance": 1e-8, "integrator": SymplecticEuler(step=1e-4)}, "decides on its own: leave it out"),
         (None, {}, "until is nan"),
         (-1.0, {}, "until is -1.0 s; it must be above 0"),
         (10**400, {}, "until is 1000"),

@@ -161,6 +161,9 @@ def test_gripper_timeout_counts_from_the_end_of_a_pause() -> None:
     simulation.advance([Pause(False)])
     assert follower.events(NOW + 5 * SECOND + SECOND // 2) == []
     assert follower.events(NOW + 6 * SECOND) == [Grasp("gripper", False)]
+    # Wall time is set back.
+    assert follower.events(NOW + SECOND) == []
+    assert follower.events(NOW + 2 * SECOND) == [Grasp("gripper", False)]
 
 
 def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:

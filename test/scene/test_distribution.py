@@ -209,3 +209,24 @@ def test_constructor_refuses_what_a_file_may_not_hold(change: dict[str, Any], re
     Distribution(**fields)
     with pytest.raises(DistributionError, match=reason):
         Distribution(**{**fields, **change})
+
+
+def test_largest_deviation_beside_a_covariance_is_read() -> None:
+    for k in range(100):
+        content = {"parameters": [{"name": "air.drag", "deviation": 2.0}], "covariance": [[0.013 + 0.0371 * k]]}
+        assert read(content).covariance[0][0] == pytest.approx(4.0)
+
+
+def test_numbers_of_numpy_become_plain() -> None:
+    arrays = {"values": np.array([0.5], dtype=np.float32), "covariance": np.array([[0.25]], dtype=np.float32)}
+    distribution = Distribution(names=("air.drag",), **arrays)
+    assert (distribution.values, distribution.covariance) == ((0.5,), ((0.25,),))
+
+
+def test_extreme_members_show_values_out_of_range() -> None:
+    distribution = read("parameters: [{name: air.drag, deviation: 0.5}, {name: material.density, deviation: 0.1}]")
+    scene = Scene.from_parameters({"air.drag": 9000.0})
+    for alone in (False, True):
+        with pytest.raises(DistributionError, match=r"member \d+ of the ensemble \(air\.drag = .*smaller"):
+            distribution.check_members(scene, 200, 1, extremes_alone=alone)
+        distribution.check_members(Scene(), 200, 1, extremes_alone=alone)

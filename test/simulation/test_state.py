@@ -10,7 +10,7 @@ import pytest
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.events import Grasp, SetParameters, Target
+from cloth_sim_ros.simulation.events import Grasp, Move, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
 SMALL = {"cloth.resolution": [4, 5], "gripper.radius": 0.6}
@@ -147,6 +147,21 @@ def test_a_state_with_other_names_of_bodies_is_refused(kind, had, has):
     del values["initial_state"]
     with pytest.raises(ValueError, match=f"the state has {kind}"):
         Simulation(Scene.from_parameters(values), State.from_bytes(saved_state))
+
+
+@pytest.mark.parametrize("names", [["a", "b"], ["b"], [""]])
+def test_reset_follows_obstacles_changed_since_the_initial_state(names):
+    values = {**SMALL, **BALLS, "a.position": [0.0, 3.0, 0.0], "b.position": [0.0, 4.0, 0.0], "obstacles": ["a"]}
+    before = Simulation(Scene.from_parameters(values))
+    before.advance([Move("a", (0.0, 2.9, 0.0))])
+    files = {"s.npz": before.state.to_bytes()}
+    live = Simulation(Scene.from_parameters({**values, "initial_state": "s.npz"}, files=files))
+    live.advance([SetParameters({"obstacles": names})])
+    again = Simulation(live.scene, State.from_bytes(live.state.to_bytes()))
+    for simulation in (live, again):
+        simulation.advance([Reset()])
+    assert live.state.digest() == again.state.digest()
+    assert (again.obstacles is None) == (names == [""])
 
 
 QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf {} {} {}\nf {} {} {}\n"

@@ -227,8 +227,10 @@ class Inputs:
     def _check_parameters(self, values: dict[str, Any], scene: Scene) -> None:
         refuse_long_names(scene, node=self._node.get_fully_qualified_name())
         check_feasibility(scene, self._simulation)
-        if scene.ensemble.file and not values.keys().isdisjoint((distribution := scene.distribution()).names):
-            distribution.check_members(scene, scene.ensemble.members, scene.ensemble.seed)
+        affects_no_motion = all(entry.observes for entry in scene.entries if entry.name in values)
+        if scene.ensemble.file and not affects_no_motion:
+            options = scene.ensemble
+            scene.distribution().check_members(scene, options.members, options.seed, extremes_alone=True)
         self._simulation.check_scene(scene)
         self._queue.evict_target(SetParameters(values))
 

@@ -327,12 +327,11 @@ class TfFollower:
             self._last_motion[name] = min(self._last_motion[name], now)
         times = (self._last_target_time(name), self._last_motion.get(name))
         latest = max((time for time in times if time is not None), default=None)
-        if self._simulation.paused:
-            # Clients may wait until time passes again: silence counts from then on.
-            self._pause_end = now
+        # Clients of a paused cloth may wait until time passes again: silence counts from then on.
+        self._pause_end = now if self._simulation.paused else min(self._pause_end, now)
         if not scene.gripper.timeout or latest is None or not self._simulation.grippers.is_closed(index):
             return []
-        silence = (now - max(latest, min(self._pause_end, now))) * 1e-9
+        silence = (now - max(latest, self._pause_end)) * 1e-9
         if silence <= scene.gripper.timeout:
             return []
         self._log.warn(f"silent {name}", f"'{name}' lets go: no target has come for {silence:.2f} s (gripper.timeout)")
