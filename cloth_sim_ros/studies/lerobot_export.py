@@ -100,18 +100,15 @@ def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
 
 
 def _known_poses(rows: np.ndarray, actions: np.ndarray) -> np.ndarray:
-    """Return rows of poses or actions (T, grippers, 8) without NaN: a gripper's next target stands before it.
+    """Return rows of poses or actions (T, grippers, 8) without NaN: a gripper's first target stands before it.
 
     A gripper without any is at the origin.
     """
     rows = rows.copy()
     for k in range(rows.shape[1]):
-        next_target = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        for t in range(len(rows) - 1, -1, -1):
-            if not np.isnan(actions[t, k, 0]):
-                next_target = actions[t, k, :7]
-            if np.isnan(rows[t, k, 0]):
-                rows[t, k, :7] = next_target
+        targets = actions[~np.isnan(actions[:, k, 0]), k, :7]
+        first_target = targets[0] if len(targets) else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        rows[np.isnan(rows[:, k, 0]), k, :7] = first_target
     return rows
 
 

@@ -16,7 +16,7 @@ from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader, read_frame
-from cloth_sim_ros.simulation.events import Grasp, Reset, Target, from_dict
+from cloth_sim_ros.simulation.events import Grasp, Target, from_dict
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.studies.errors import StoppedError
 from cloth_sim_ros.studies.run_recording import RunRecording
@@ -105,7 +105,9 @@ class _TrajectoryRecorder:
         self._arrays: dict[str, list[Any]] = {name: [] for name in names}
         grippers = len(simulation.grippers.names)
         self._action = np.zeros((grippers, 8))
-        self._restart_actions()
+        for k, pose in enumerate(simulation.grippers.poses()):
+            self._action[k, :7] = pose if simulation.grippers.is_placed(k) else np.nan
+            self._action[k, 7] = simulation.grippers.is_closed(k)
         self._record_state()
 
     def add(self, events: list[Any], frame: Any) -> None:
@@ -119,20 +121,11 @@ class _TrajectoryRecorder:
                     row[3:7] = event.orientation
                 elif np.isnan(row[3]):
                     row[3:7] = (0.0, 0.0, 0.0, 1.0)
-            elif isinstance(event, Reset):
-                self._restart_actions()
             elif isinstance(event, Grasp):
                 self._action[names.index(event.gripper), 7] = event.closed
         self._arrays["actions"].append(self._action.copy())
         self._arrays["wrenches"].append(frame.wrenches.copy())
         self._record_state()
-
-    def _restart_actions(self) -> None:
-        """Set the latest commands to the grippers' present poses, or to NaN for those that had no target."""
-        grippers = self._simulation.grippers
-        for k, pose in enumerate(grippers.poses()):
-            self._action[k, :7] = pose if grippers.is_placed(k) else np.nan
-            self._action[k, 7] = grippers.is_closed(k)
 
     def trajectory(self, run: int) -> Trajectory:
         """Return the recorded trajectory."""

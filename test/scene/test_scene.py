@@ -193,3 +193,9 @@ def test_viscosity_replaces_damping_and_converges():
 def test_resulting_poisson_ratio_is_reported():
     assert Scene().poisson_ratio == Scene().threads().poisson_ratio == pytest.approx(0.099, abs=1e-3)
     assert Scene.from_parameters({"cloth.shear_layout": "left"}).poisson_ratio == 0.0
+
+
+def test_axial_bending_of_a_mesh_is_refused_with_its_models():
+    content = {"a.obj": b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"}
+    with pytest.raises(ParameterError, match="choose none, opposite, crossed, altitude, shape_operator or quadratic"):
+        Scene.from_parameters({"cloth.mesh": "a.obj", "bending.model": "axial"}, files=content)
