@@ -235,6 +235,22 @@ def test_jerk_change_by_a_prescribed_path_is_of_the_sheet():
     assert plan.grip_jerk_change(0.0, T, (omega2, damping), time) == pytest.approx(expected)
 
 
+def test_damping_time_is_that_of_grips_that_are_stiff_enough():
+    rng, masses = np.random.default_rng(4), np.array([1.0, 0.5, 2.0, 4.0, 1.0])
+    held = Grips(1)
+    plan = compile(Model(masses, [held], anchors=[0]))
+    assert plan.min_damping_time() == np.inf
+    for particles in (rng.integers(0, 5, 9), np.zeros(2, dtype=int)):
+        count = len(particles)
+        stiffness, damping = rng.choice([0.0, 2.0, 5.0, 30.0], count), rng.uniform(0.1, 2.0, count)
+        offsets = np.zeros((count, 3))
+        held.set_grips(held.paths, np.array([0, count]), particles, offsets, stiffness, damping)
+        rates = stiffness * np.where(particles > 0, 1.0 / masses[particles], 0.0)
+        for soft in [0.0, *rates, 1.01 * rates.max()]:
+            times = [c / k for k, c, rate in zip(stiffness, damping, rates, strict=True) if rate > soft]
+            assert plan.min_damping_time(soft) == min(times, default=np.inf), soft
+
+
 def test_grips_of_one_particle_add_up_in_any_order():
     rng = np.random.default_rng(9)
     held = Grips(3)

@@ -65,9 +65,8 @@ class StabilityRule:
 
         A frame asks several times, and grips change only between frames.
         """
-        # Grips and contact act locally, and air damps weakly.
-        damps_waves = any(force.damped and force.damps_waves for force in self._plan.model.forces)
-        return self._plan.min_damping_time(_SOFT_GRIP_FRACTION * self.memory.omega2) if damps_waves else 0.0
+        plan = self._plan
+        return plan.min_damping_time(_SOFT_GRIP_FRACTION * self.memory.omega2) if plan.damps_waves else 0.0
 
     def _decay(self, length: float) -> float:
         """Return the decay of the fastest waves within a time [s], their damping rate times it."""

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +19,6 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
-from cloth_sim_ros.physics.model.parts import min_damping_time
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
@@ -96,6 +97,8 @@ class GripBinding(Uncopyable):
         #: Grasps, the strongest grip of each gripper that grasps a free particle, and true if several grippers grasp
         #: one, see `_strongest_grips`.
         self._known_grips: tuple[Grasps | None, list[_StrongestGrip], bool] = (None, [], False)
+        #: Grasps, stiffness over mass of their grips [1/s^2], ascending, and the least c / k [s] from each of them on.
+        self._known_damping: tuple[Grasps | None, Sequence[float], Sequence[float]] = (None, (), ())
 
     def upload(self) -> None:
         """Upload grasped particles and paths of grippers to the engine if they changed; refuse invalid ones."""
@@ -224,12 +227,19 @@ class GripBinding(Uncopyable):
         """Return the least ratio of damping to stiffness, c / k [s], of the grips; infinity if there are none.
 
         Args:
-            soft: stiffness over mass [1/s^2] up to which a grip does not count.
+            soft: stiffness over mass [1/s^2], from 0, up to which a grip does not count.
             inverse_masses: of the particles [1/kg], shape (n,).
         """
         grasps = self.force.controls.grasps
-        is_stiff = grasps.stiffness * inverse_masses[grasps.particles] > soft
-        return min_damping_time(grasps.stiffness[is_stiff], grasps.damping[is_stiff])
+        if grasps is not self._known_damping[0]:
+            stiffness = grasps.stiffness * inverse_masses[grasps.particles]
+            order = np.argsort(stiffness)
+            order = order[stiffness[order] > 0.0]
+            ratios = grasps.damping[order] / grasps.stiffness[order]
+            self._known_damping = grasps, stiffness[order].tolist(), np.minimum.accumulate(ratios[::-1])[::-1].tolist()
+        _, rates, times = self._known_damping
+        first = bisect_right(rates, soft)
+        return times[first] if first < len(rates) else math.inf
 
     def add_bounds(self, stiff: Array, damped: Array) -> None:
         """Add stiffness [N/m] and damping [N s/m] of grips to their particles' blocks (6, n), in place."""

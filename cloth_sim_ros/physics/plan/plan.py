@@ -97,6 +97,8 @@ class Plan(PlanQueries, Uncopyable):
         assembly = Assembly.of(model)
         self._python_forces, self._drag = assembly.python_forces, assembly.drag
         self._min_damping_time = assembly.min_damping_time()
+        #: True if a force damps the sheet's waves; grips and contact act locally, and air damps weakly.
+        self.damps_waves = any(force.damped and force.damps_waves for force in model.forces)
         #: True if the model has hinges, which multirate runs evaluate less often.
         self.has_hinges = any(elements.kind in HINGE_KINDS for elements in assembly.element_lists)
         #: True if the cloth carries air along, whose mass depends on the direction.
