@@ -7,11 +7,12 @@ The loop `explicit.integrate` asks in this order:
 - `choose_piece` returns the next piece: its length H, the steps of its first run, the multirate ratio. It is stable by
   the bounds at its start and by predicted contact, and it fits the work budget.
 - `tableau` returns the runs of a piece, each calculated when it is needed. `run` calculates the chosen ones.
-- `is_stable` tells if the steps were within the limits that the runs met. `reject_unstable` makes them shorter.
+- `is_stable` tells if the runs are finite, and their steps within the limits that they met. `reject_unstable` makes
+  these shorter.
 - `predict` returns the error from the last estimate; it is infinite if an estimate is due. `estimate` measures it.
   `reject_inaccurate` chooses more runs, shorter steps or a shorter piece.
 - `check_energy` checks a piece whose error is not known to fit its budget. `reject_energy` makes steps shorter.
-- `accept` moves the state to the end of the piece. Only then rules learn from it; a rejected piece changes nothing.
+- `accept` moves the state to the end of the piece. A rejected piece does not move it.
 - `store` writes into the state what the next advance needs.
 
 docs/step_control.md has the rules.
@@ -73,7 +74,7 @@ class Controller:
     """Controller of one explicit advance: chooses pieces, number of runs and steps, by rules and the work budget.
 
     A frame has stretches, a stretch has equal pieces, a piece has steps. The refinement is the factor by which steps
-    are shorter than the longest stable ones. A motion is rough where a kink or a jump of a force requires short pieces.
+    are shorter than the longest stable ones. A motion is rough after a piece was halved, or needed much shorter steps.
 
     Args:
         options: settings of the integrator.
@@ -180,7 +181,7 @@ class Controller:
         self.restart()
 
     def restart(self) -> None:
-        """Reset the controller, not the state, to the frame's start; all pieces then get an error estimate."""
+        """Return the controller, not the state, to the frame's start; all pieces then get an error estimate."""
         memory = self._stability.memory
         memory.omega2, memory.damping = self._start_bounds
         if self._plan.has_hinges:
@@ -194,7 +195,7 @@ class Controller:
         self._begin()
 
     def _begin(self) -> None:
-        """Reset everything that pieces change to its value at the start of the frame."""
+        """Reset totals, division and the present piece for the start of the frame; used work and choices stay."""
         #: Totals of the accepted pieces.
         self._frame = FrameTotals()
         self._run_differences.restart()
@@ -213,18 +214,18 @@ class Controller:
         #: Refinement of estimated runs, that of stability included.
         self._applied_refinement = 1.0
 
-    def must_restart(self, *, is_missed: bool) -> bool:
-        """Return True if the frame must restart with error estimates, because accepted pieces may be wrong too.
+    def must_restart(self, *, needs_estimate: bool) -> bool:
+        """Return True if the frame must restart with error estimates.
 
-        They were accepted by predictions and a later one misses its budget. Or a spring may turn over in this piece, or
-        it touches although contact was not expected.
+        A piece needs an estimate and earlier ones were only predicted, so they may be wrong too. Or a spring may turn
+        over in this piece, or it touches although contact was not expected.
 
         Args:
-            is_missed: True if the predicted error of a piece exceeds its budget.
+            needs_estimate: True if the predicted error of the piece is unknown or exceeds its budget.
         """
         is_predicted = self._frame.n_pieces > 0 and not self._frame.has_estimates
         return (
-            (is_missed and is_predicted)
+            (needs_estimate and is_predicted)
             or (self._may_turn and not self._division.is_rough)
             or self._changes.is_unexpected
         )
@@ -295,7 +296,7 @@ class Controller:
         self._applied_refinement = max(self.refinement, required_refinement)
 
     def _halve(self, length: float, *, is_rough: bool = True) -> bool:
-        """Halve the next piece, of a length [s], as rough motion or not; return False if it would be too short."""
+        """Halve the present or next piece, of a length [s], as rough motion or not; False if halves are too short."""
         division = self._division
         if not division.is_long_enough(0.5 * length):
             return False
@@ -512,7 +513,7 @@ class Controller:
         error, floor = estimate.error(self.n_runs), estimate.rounding_floor(self.n_runs)
         if self.in_fallback or error <= CONSTANTS.estimate_trust_factor * floor:
             return False  # no step reduces the error below rounding
-        n_runs, refinement, is_smooth = self._choose_finer(estimate, error)
+        n_runs, refinement, may_help = self._choose_finer(estimate, error)
         self._precision.n_misses += 1
         required_refinement = division.required_refinement(n_runs, piece.length, piece.max_step)
         max_refinement = CONSTANTS.max_refinement_factor * max(self.refinement, required_refinement)
@@ -522,10 +523,10 @@ class Controller:
             and division.is_long_enough(piece.length)
             and division.fits(n_runs, next_refinement, piece)
         )
-        requires_much_more = not is_smooth and self._requires_much_more(refinement)
+        requires_much_more = not may_help and self._requires_much_more(refinement)
         # Halves cost less than much finer steps in all of a piece.
         is_much_finer = self._attempts > 0 and refinement > max_refinement
-        if is_much_finer or (not is_smooth and (not is_affordable or requires_much_more)):
+        if is_much_finer or (not may_help and (not is_affordable or requires_much_more)):
             if self._halve_if_long(piece):
                 self.rejected += 1
                 return True
@@ -544,7 +545,7 @@ class Controller:
         return True
 
     def _choose_finer(self, estimate: ErrorEstimate, error: float) -> tuple[int, float, bool]:
-        """Return runs and refinement that bring an error [m] to its target; true if errors show a smooth motion."""
+        """Return runs and refinement that bring an error [m] to its target; true unless further runs do not help."""
         errors = estimate.errors
         if errors[self.n_runs - 1] <= estimate.allowed:
             # Only the ends of the piece exceed its budget.
@@ -553,7 +554,7 @@ class Controller:
         if self._division.is_rough:
             # Errors may be small by chance, so steps do not grow.
             refinement = max(refinement, self.refinement)
-        # A single estimate does not show whether the motion is smooth; else combinations gain on one another.
+        # A single estimate does not show whether further runs help.
         return n_runs, refinement, len(errors) == 1 or CONSTANTS.estimate_trust_factor * min(errors) < errors[0]
 
     def _repeat_in_double(self, piece: Piece) -> None:
@@ -709,10 +710,10 @@ class Controller:
         return division.elapsed
 
     def _choose_next(self, piece: Piece) -> None:
-        """Choose runs and refinement for what follows a piece of rough motion; steps grow by two at most.
+        """Choose runs and refinement for what follows a piece of rough motion; steps grow at most by a factor of 2.
 
-        They are for the next stretch if it is longer, because the moment that needs short steps has then passed. The
-        next frame starts with the longest steps so chosen; what is too coarse is rejected at little cost.
+        A longer next stretch takes them, because the moment that needs short steps has then passed. The next frame
+        starts with the longest steps so chosen; what is too coarse is rejected at little cost.
         """
         target = self._error.target(piece.length)
         n_runs, refinement = self._estimate.choose_runs(self.refinement, target)

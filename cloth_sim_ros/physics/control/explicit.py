@@ -8,8 +8,8 @@ chooses K and the steps for least work, as ODEX chooses order and H (Hairer, Nor
 Differential Equations I, II.9). Unlike there, H is the whole frame unless a rule divides or halves it. The number of
 steps in H is free. An error estimate needs a further run, so most pieces have only a predicted error.
 
-A piece is accepted if its steps were stable and its error fits its budget. A piece that creates energy is rejected if
-its error exceeds the budget, or without a tolerance.
+The steps of a piece must be stable. It is accepted if its error fits its budget. Otherwise, and without a tolerance, it
+must create no energy.
 
 docs/step_control.md tells when a piece is accepted over its budget.
 """
@@ -47,8 +47,8 @@ class ExplicitIntegrator(Integrator):
     ) -> Advance:
         """Advance a state, in place, by a duration [s] with explicit steps, or a fallback if these are abandoned.
 
-        Explicit steps may be abandoned, because they exceed the work limit or create energy. The frame then starts
-        again. With contact and a tolerance, single runs within a reserve of work advance it. If that fails too,
+        Explicit steps may be abandoned, because stable ones exceed the work limit or create energy. The frame then
+        starts again. With contact and a tolerance, single runs within a reserve of work advance it. If that fails too,
         implicit steps do. Implicit steps are the only fallback without contact, or without a tolerance, or if bodies
         leave the cloth no room.
 
@@ -73,7 +73,7 @@ class ExplicitIntegrator(Integrator):
             controller.store()
             return controller.report()
         state.restore_motion(start)
-        # Implicit steps finish the frame from its start.
+        # Implicit steps repeat the frame from its start.
         work = controller.work
         controller.store_bounds()
         limit = self.work * duration or math.inf
@@ -122,14 +122,14 @@ def integrate(
             controller.reject_unstable(tableau, piece)
             continue
         error, allowed = controller.predict(tableau, piece), controller.allowed_error(piece)
-        if controller.must_restart(is_missed=error > allowed):  # earlier pieces of the frame may be wrong too
+        if controller.must_restart(needs_estimate=error > allowed):
             elapsed, tableau = 0.0, None
             state.restore_motion(start)
             controller.restart()
             if accumulator is not None:
                 accumulator.reset()
             continue
-        if error > allowed:  # rule 2: error; the predicted one does not fit, or it is unknown, so estimate
+        if error > allowed:  # rule 2: error; an estimate is due, or the prediction is unknown or does not fit
             n_runs = controller.n_runs
             error = controller.estimate(tableau, piece, allowed)
             if controller.n_runs != n_runs and not controller.is_stable(tableau, piece):
