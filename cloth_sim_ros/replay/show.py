@@ -72,11 +72,11 @@ def open_viewer(
     accuracy: bool = False,
 ) -> None:
     """Start a Rerun window and send it a session. Raises SessionError, or ViewerError without a screen."""
-    check_screen(
-        "use --screenshot out.png for a picture, or --save out.rrd and open that with `rerun` on a machine with a "
-        "screen; or a virtual screen: apt-get install xvfb xauth, then xvfb-run cloth_replay"
-    )
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
+        check_screen(
+            "use --screenshot out.png for a picture, or --save out.rrd and open that with `rerun` on a machine with a "
+            "screen; or a virtual screen: apt-get install xvfb xauth, then xvfb-run cloth_replay"
+        )
         scan = _scan(reader, strain_limit, follow)
         scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
         recording, viewer = _recording(reader), open_window()

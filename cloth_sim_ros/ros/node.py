@@ -14,7 +14,8 @@ from rclpy.clock import Clock, ClockType
 from cloth_sim_ros.ros.check.feasibility import check_feasibility
 from cloth_sim_ros.ros.check.performance_estimate import measure_step_cost
 from cloth_sim_ros.ros.io import parameters
-from cloth_sim_ros.ros.io.inputs import Inputs, link_reset
+from cloth_sim_ros.ros.io.follower_start import FollowerStart
+from cloth_sim_ros.ros.io.inputs import Inputs, start_reset
 from cloth_sim_ros.ros.io.outputs import Outputs
 from cloth_sim_ros.ros.process.failure import FailureGuard, ignore_errors_after_shutdown
 from cloth_sim_ros.ros.process.worker_thread import InterruptibleLock, run_inline
@@ -67,13 +68,16 @@ class ClothNode:
     ) -> None:
         self.node = parameters.SceneNode(name, **options)
         robot = self._robot_start(signal_name or str)
-        scene = parameters.declare(self.node, extend=None if robot is None else robot.extend)
+        followers = FollowerStart(self.node, signal_name or str, robot)
+        scene = parameters.declare(self.node, extend=followers.extend)
         log = ThrottledLog(self.node.get_logger())
         log.flush()
-        simulation = Simulation(scene)
-        if robot is not None and scene.initial_state:
-            # The file has the links where they were, and the scene where the robot is.
-            simulation.restart(link_reset(scene))
+        with followers.naming_frames():
+            simulation = Simulation(scene)
+            placed = [*scene.link_names, *followers.placed]
+            if placed and scene.initial_state:
+                # The file has them where they were, and the scene where they are.
+                simulation.restart(start_reset(scene, placed))
         check_feasibility(scene, simulation)
         if simulation.state.dropped_memory:
             log.info("initial state", describe_left_out(simulation))
@@ -95,8 +99,7 @@ class ClothNode:
             record_latched=lambda stamp: self.outputs.record_latched(stamp),
             refusal=lambda: self.failure.refusal,
         )
-        self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log, robot)
-        self.inputs.place_followers(signal_name or str)
+        self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log, robot, followers.frames)
         self.outputs = Outputs(self.node, simulation, self.inputs.commands, session, log)
         if scene.record.topics:
             self._add_bag_topics(session)
@@ -270,7 +273,7 @@ class ClothNode:
         with self._lock:
             self.inputs.restart_time()
             # Their setters have had the answer that the values are accepted.
-            self.stepper.queue.refuse("/clock went back", keep=(SetParameters,))
+            self.stepper.queue.refuse("/clock went back, and the cloth is reset: call again", keep=(SetParameters,))
             self.stepper.queue.put(Reset())
             self.recording.session.extras = {"clock_jump": [before, now]}
 

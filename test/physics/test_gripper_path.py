@@ -109,10 +109,15 @@ def test_a_half_turn_takes_the_shortest_way():
     assert rotation_vector(start.tolist(), start.tolist()) == pytest.approx([0.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("bad", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [0, 0, 1]])
+@pytest.mark.parametrize("bad", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [0, 0, 1], [1e200, 0, 0, 0], [1e-7, 0, 0, 0]])
 def test_a_quaternion_without_direction_is_refused(bad):
-    with pytest.raises(ValueError, match="no quaternion"):
+    with pytest.raises(ValueError, match="no quaternion x, y, z, w of a length from 1e-06 to 1e154; the identity is"):
         normalized(bad)
+
+
+def test_quaternions_of_extreme_lengths_have_a_direction():
+    for length in (1e-6, 1.3e154):
+        assert normalized([0.0, 0.0, 0.0, length]).tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize("seed", range(3))

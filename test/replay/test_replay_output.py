@@ -283,6 +283,9 @@ def test_viewer_needs_a_screen(
     said = capsys.readouterr().err
     assert "--screenshot" in said
     assert "apt-get install xvfb xauth" in said
+    # A missing file comes first.
+    assert main([str(tmp_path / "nothing.mcap")]) == 2
+    assert "nothing.mcap" in capsys.readouterr().err
 
 
 def test_missing_driver_is_named(

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import argparse
+import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, explain_error
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, explain_error, read_and_start
 
 COMMANDS = {
     "cloth_sim": "cloth_sim_ros.ros.main",
@@ -72,6 +74,11 @@ def test_security_without_keystore_gives_one_sentence(tmp_path: Path) -> None:
     # rcl continues without security, or ignores the setting.
     for variables in ({"ROS_SECURITY_STRATEGY": "Permissive"}, {"ROS_SECURITY_ENABLE": "false"}):
         check_environment({**secure, **variables}, [])
+
+
+def test_unknown_ros_argument_is_named() -> None:
+    with pytest.raises(ArgumentsError, match=re.escape("['--bogus'] are no ROS arguments: see 'ros2 run'")):
+        read_and_start(argparse.ArgumentParser(), ["cloth_sim", "--ros-args", "--bogus"])
 
 
 def test_middleware_without_security_is_explained() -> None:

@@ -275,17 +275,34 @@ def test_reset_poses_are_those_of_the_followed_frame() -> None:
 
     # private: the lookup is replaced
     follower._frames.newest = newest  # type: ignore[method-assign]
-    assert follower.obstacle_poses() == {}
-    follower.events(NOW)
-    assert follower.obstacle_poses() == {"ball": (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)}
-    simulation.advance([SetParameters({"ball.frame": "b"})])
-    follower.events(NOW)
-    assert follower.obstacle_poses() == {}, "of another frame"
+    at_a = {"ball": (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)}
+    assert follower.obstacle_poses(simulation.scene) == at_a
+    # A change and a reset may share a frame: the reset is of the changed scene.
+    changed = simulation.scene.changed({"ball.frame": "b"})
+    assert follower.obstacle_poses(changed) == {}
     x_of["b"] = 2.0
+    assert follower.obstacle_poses(changed)["ball"][0] == 2.0
+    assert follower.obstacle_poses(simulation.scene.changed({"ball.frame": ""})) == {}
+    # TF loses a frame whose parents are too old.
     follower.events(NOW)
-    assert follower.obstacle_poses()["ball"][0] == 2.0
+    del x_of["a"]
+    assert follower.obstacle_poses(simulation.scene) == at_a
     follower.restart_time()
-    assert follower.obstacle_poses() == {}
+    assert follower.obstacle_poses(simulation.scene) == {}
+
+
+@pytest.mark.parametrize("stamp", [0, 7])
+def test_silence_of_a_moving_frame_is_told_once_a_minute(stamp: int) -> None:
+    ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0]}
+    _, follower, log = make_follower(None, **ball, ball__frame="a")
+    pose = (0.0, 0.0, -3.0), (0.0, 0.0, 0.0, 1.0)
+    # private: the lookup is replaced
+    follower._frames.newest = lambda _frame: (*pose, stamp)  # type: ignore[method-assign]
+    for seconds in (0, 1, 2, 30, 61):
+        follower.events(NOW + seconds * SECOND)
+    # A static transform has the stamp 0.
+    expected = "no new transform of frame 'a' has come for 1 s: 'ball' stands"
+    assert log.lines == ([expected] if stamp else [])
 
 
 def test_repeated_target_does_not_restart_gripper_timeout(monkeypatch: pytest.MonkeyPatch) -> None:

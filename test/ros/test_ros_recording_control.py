@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.ros.recording.errors import RecordingUnavailableError
-from cloth_sim_ros.ros.recording.recording import SessionRecording
+from cloth_sim_ros.ros.recording.recording import SessionRecording, log_end
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 
 
@@ -50,7 +51,7 @@ class OpeningRecording:
         self.busy = state == "recording"
         listeners, self._listeners = self._listeners, []
         for listener in listeners:
-            listener(SimpleNamespace(state=state, error="", path="a.mcap", messages=0, bytes_written=0))
+            listener(SimpleNamespace(state=state, error="", path=Path("a.mcap"), messages=0, bytes_written=0))
 
 
 def test_failure_of_an_opening_recording_is_resumed() -> None:
@@ -84,3 +85,13 @@ def test_recording_that_opens_has_no_path() -> None:
     session._recorder = opening
     with pytest.raises(RecordingUnavailableError, match=r"^recording already; its file is being opened$"):
         session.begin(0)
+
+
+@pytest.mark.parametrize("end", ["", ", which was renamed or moved since"])
+def test_moved_recording_is_told_at_its_end(tmp_path: Path, end: str) -> None:
+    path, lines = tmp_path / "a.mcap", list[str]()
+    if not end:
+        path.write_bytes(b"")
+    status: Any = SimpleNamespace(state="closed", path=path, messages=3, bytes_written=0)
+    log_end(SimpleNamespace(info=lines.append), status)
+    assert lines == [f"recorded 3 messages, 0 bytes, into {path}{end}"]

@@ -15,6 +15,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, start_cloth
 
 from cloth_sim_ros.ros import main as node_main
+from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
@@ -102,3 +103,19 @@ def test_name_too_long_for_topics_is_refused(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         result = cloth.node.node.set_parameters([Parameter(f"{name}.shape", value="plane")])[0]
         assert re.search(words, result.reason)
+
+
+@pytest.mark.parametrize(
+    ("topics", "words"),
+    [
+        (["gripper/target", "gripper/point"], "no subscription of PointStamped on /both ("),
+        (["points", "mesh"], "no publisher of Marker on /both ("),
+    ],
+)
+def test_topic_of_two_types_is_refused(client: Client, topics: list[str], words: str) -> None:
+    remapped = ["--ros-args", *(part for topic in topics for part in ("-r", f"~/{topic}:=/both"))]
+    with (
+        pytest.raises(ParameterError, match=f"{re.escape(words)}.*; remap one of them"),
+        ClothNode(context=client.context, cli_args=remapped) as node,
+    ):
+        node.start()

@@ -6,19 +6,24 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 from support.tf2_stub import stub_tf2
 
 from cloth_sim_ros.ros.process.stopping import StopRequestedError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.verify.run import verify
 
 #: A ball beside the hanging cloth, and a TF frame at (x, 0, 0) on the other side.
@@ -78,11 +83,103 @@ def test_signal_ends_the_wait_for_frames(client: Client, monkeypatch: pytest.Mon
         ClockedCloth(client, BALL, signal_name=lambda: "SIGINT")
 
 
+#: A cloth that lies in the plane z = 0.
+LYING: dict[str, Any] = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "cloth.position": [0.0, 0.0, 0.0]}
+
+
 def test_frame_in_the_cloth_refuses_the_start(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch, {"mocap": 0.0})
-    lying = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "cloth.position": [0.0, 0.0, 0.0]}
-    with pytest.raises(ValueError, match=r"the cloth as it starts .*'ball'"):
-        ClockedCloth(client, {**BALL, **lying})
+    with pytest.raises(ValueError, match=r"inside obstacle 'ball'.*; 'ball' starts at TF frame 'mocap' \(ball.frame\)"):
+        ClockedCloth(client, {**BALL, **LYING})
+
+
+def test_position_in_the_cloth_does_not_matter_beside_a_frame(
+    client: Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    stub_tf2(monkeypatch, {"mocap": 2.0})
+    recorded = {"record.enabled": True, "record.folder": str(tmp_path)}
+    with ClockedCloth(client, {**BALL, **LYING, **recorded, "ball.position": [0.0, 0.0, 0.0]}) as cloth:
+        cloth.tick(2)
+        assert ball_of(cloth)[0] == 2.0
+        assert list(cloth.node.node.get_parameter("ball.position").value) == [2.0, 0.0, 0.0]
+    (path,) = tmp_path.glob("*.mcap")
+    assert verify([path]).same
+
+
+def test_initial_state_does_not_place_a_follower(
+    client: Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    x_of = {"mocap": 2.0}
+    stub_tf2(monkeypatch, x_of)
+    recorded = {"record.enabled": True, "record.folder": str(tmp_path)}
+    with ClockedCloth(client, {**BALL, **recorded}) as cloth:
+        cloth.tick(2)
+    (path,) = tmp_path.glob("*.mcap")
+    x_of["mocap"] = 3.0
+    with ClockedCloth(client, {**BALL, "initial_state": f"{path}@1"}) as cloth:
+        assert ball_of(cloth)[0] == 3.0
+
+
+def test_own_frame_is_refused_at_the_start(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch, {})
+    published = {"ball.frame": "cloth_sim/gripper", "tf.publish": True}
+    with pytest.raises(ParameterError, match=r"ball\.frame is 'cloth_sim/gripper', a frame that this node publishes"):
+        ClockedCloth(client, {**BALL, **published})
+
+
+@pytest.mark.parametrize("frame", ["", "nowhere"])
+def test_reset_returns_a_follower_without_frame_to_its_start(
+    client: Client, monkeypatch: pytest.MonkeyPatch, frame: str
+) -> None:
+    x_of = {"mocap": 2.0}
+    stub_tf2(monkeypatch, x_of)
+    with ClockedCloth(client, BALL) as cloth:
+        cloth.tick(2)
+        x_of["mocap"] = 2.01
+        cloth.tick(3)
+        cloth.node.node.set_parameters([Parameter("ball.frame", value=frame)])
+        cloth.node.stepper.queue.put(Reset())
+        cloth.tick(2)
+        assert ball_of(cloth)[0] == 2.0
+
+
+def test_reset_beside_a_new_frame_starts_there(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch, {"mocap": 2.0, "hand": -3.0})
+    with ClockedCloth(client, BALL) as cloth:
+        cloth.tick(2)
+        cloth.node.node.set_parameters([Parameter("ball.frame", value="hand")])
+        cloth.node.stepper.queue.put(Reset())
+        cloth.tick(2)
+        assert ball_of(cloth)[0] == -3.0
+
+
+def test_clock_that_goes_back_returns_a_follower_to_its_start(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    x_of = {"mocap": 2.0}
+    stub_tf2(monkeypatch, x_of)
+    with ClockedCloth(client, BALL) as cloth:
+        cloth.tick(3)
+        x_of.clear()
+        cloth.tick_index -= 100
+        cloth.tick(3)
+        assert ball_of(cloth)[0] == 2.0
+
+
+def test_clock_that_goes_back_in_the_wait_clears_transforms(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    x_of: dict[str, float] = {}
+    listening = stub_tf2(monkeypatch, x_of)
+    publisher = client.node.create_publisher(Clock, "/clock", 10)
+
+    def publish() -> None:
+        for seconds in (100, 100, 10, 11):
+            publisher.publish(Clock(clock=Time(sec=seconds)))
+            time.sleep(0.2)
+        x_of["mocap"] = 2.0
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    with ClockedCloth(client, BALL):
+        thread.join()
+    assert listening[0].n_cleared == 1
 
 
 def test_start_without_tf2_leaves_obstacles_in_place(
@@ -163,8 +260,7 @@ def test_live_obstacle_needs_its_tf_frame(client: Client, monkeypatch: pytest.Mo
 def test_live_obstacle_at_frame_in_cloth_is_refused(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     x_of = {"mocap": 0.0}
     stub_tf2(monkeypatch, x_of)
-    lying = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "cloth.position": [0.0, 0.0, 0.0]}
-    with ClockedCloth(client, {**BALL, **lying, "obstacles": [""]}) as cloth:
+    with ClockedCloth(client, {**BALL, **LYING, "obstacles": [""]}) as cloth:
         cloth.tick()
         result = set_at_once(cloth, obstacles=["ball"])
         assert not result.successful

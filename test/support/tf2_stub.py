@@ -34,8 +34,11 @@ def stub_tf2(monkeypatch: pytest.MonkeyPatch, x_of: dict[str, float]) -> list[An
                 ),
             )
 
+        def __init__(self) -> None:
+            self.n_cleared = 0
+
         def clear(self) -> None:
-            pass
+            self.n_cleared += 1
 
     module = SimpleNamespace(
         Buffer=Buffer,

@@ -18,12 +18,15 @@ from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, float64_a
 from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
 from cloth_sim_ros.physics.model.forces.force import Array
 
+#: Minimum length of a quaternion that gives a direction.
+_MIN_QUATERNION_LENGTH = 1e-6
+
 
 def normalized(orientation: ArrayLike) -> Array:
     """Return a quaternion (x, y, z, w) scaled to length 1, as an array, shape (4,); refuse one without length.
 
     Raises:
-        ValueError: if it is not finite or has no length.
+        ValueError: if its length is below 1e-6, or its square is not finite.
     """
     q = np.asarray(orientation, dtype=np.float64)
     if q.shape != (4,):
@@ -35,21 +38,21 @@ def unit_quaternion(orientation: Sequence[float]) -> tuple[float, float, float, 
     """Return what `normalized` does, as a tuple (x, y, z, w); five times as fast.
 
     Raises:
-        ValueError: if it is not finite or has no length.
+        ValueError: if its length is below 1e-6, or its square is not finite.
     """
     length = 0.0
     if len(orientation) == 4:
         x, y, z, w = orientation
         length = math.sqrt(x * x + y * y + z * z + w * w)
-    if not math.isfinite(length) or length < 1e-6:
+    if not math.isfinite(length) or length < _MIN_QUATERNION_LENGTH:
         raise _quaternion_error(orientation)
     return x / length, y / length, z / length, w / length
 
 
 def _quaternion_error(orientation: Any) -> ValueError:
     return ValueError(
-        f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0; "
-        "the identity is 0, 0, 0, 1"
+        f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length from "
+        f"{_MIN_QUATERNION_LENGTH:g} to 1e154; the identity is 0, 0, 0, 1"
     )
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
@@ -41,6 +41,7 @@ class Inputs:
         recording: records the commands, and serves requests to record.
         log: receives refusals.
         robot: the robot whose links are obstacles; None without one.
+        frames: TF, if the start needed it, so that its buffer is filled; None makes one.
     """
 
     def __init__(
@@ -51,13 +52,12 @@ class Inputs:
         recording: RecordingControl,
         log: ThrottledLog,
         robot: RobotStart | None = None,
+        frames: FrameTransformer | None = None,
     ) -> None:
         simulation, queue = timing.stepper.simulation, timing.stepper.queue
         scene = simulation.scene
         self._node, self._simulation, self._queue = node, simulation, queue
-        # A robot's start has filled its buffer.
-        known_frames = None if robot is None else robot.frames
-        self._frames = FrameTransformer(node, scene.frame_id) if known_frames is None else known_frames
+        self._frames = FrameTransformer(node, scene.frame_id) if frames is None else frames
         sink, callback_lock = recording.session, failure.callback_lock
         self.commands = CommandSubscriptions(node, simulation, queue, self._frames, sink, log, callback_lock)
         self.tf_follower = TfFollower(simulation, self._frames, self.commands.last_target_time, log)
@@ -78,33 +78,6 @@ class Inputs:
         self.actions: GripperActions | None = None
         #: Servers of simulation_interfaces; None if they are not requested.
         self.interfaces: SimulationInterfaces | None = None
-
-    def place_followers(self, signal_name: Callable[[], str]) -> None:
-        """Before `start`, wait for the TF frames that obstacles follow, and restart the cloth with them there.
-
-        Args:
-            signal_name: returns the name of the signal that has come; empty if none has.
-
-        Raises:
-            EventError: if an obstacle would start in the cloth, or its pose is invalid.
-            StopRequestedError: if a signal came meanwhile.
-        """
-        scene, follower, reason = self._simulation.scene, self.tf_follower, ""
-        follower.listen(scene)
-        if not any(scene.described[name].frame for name in scene.obstacle_names):
-            return
-        from cloth_sim_ros.ros.io.start_wait import await_condition
-
-        def is_complete() -> bool:
-            nonlocal reason
-            reason = follower.find_obstacles()
-            return not reason
-
-        await_condition(
-            self._node, is_complete, lambda: f"waiting for the TF frames of obstacles: {reason}", signal_name
-        )
-        if follower.obstacle_poses():
-            self._simulation.restart(self.build_reset(scene, False))
 
     def start(self) -> None:
         """Subscribe to commands of grippers and to joint states; create services, and actions if they are set."""
@@ -198,7 +171,7 @@ class Inputs:
             is_required: true if the reset must succeed: with an obstacle in the cloth it has no poses then. It has
                 none either while the node is failed.
         """
-        poses = self.tf_follower.obstacle_poses() | ({} if self._robot is None else self._robot.poses())
+        poses = self.tf_follower.obstacle_poses(scene) | ({} if self._robot is None else self._robot.poses())
         event = _reset_at(scene, poses)
         if is_required or self._failure.refusal:
             try:
@@ -235,10 +208,10 @@ class Inputs:
         self._queue.evict_target(SetParameters(values))
 
 
-def link_reset(scene: Scene) -> Reset:
-    """Return a reset that starts a robot's links where a scene has them, whatever `initial_state` says."""
-    links = {name: scene.described[name] for name in scene.link_names}
-    return _reset_at(scene, {name: (*link.position, *link.orientation) for name, link in links.items()})
+def start_reset(scene: Scene, names: Iterable[str]) -> Reset:
+    """Return a reset that starts named obstacles where a scene has them, whatever `initial_state` says."""
+    obstacles = {name: scene.described[name] for name in names}
+    return _reset_at(scene, {name: (*start.position, *start.orientation) for name, start in obstacles.items()})
 
 
 def _reset_at(scene: Scene, poses: Mapping[str, tuple[float, ...]]) -> Reset:

@@ -15,6 +15,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from cloth_sim_ros.ros.io.qos_rules import POLICIES, PUBLISHER, Override, faults
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.sim_time import same_topic_text
 from cloth_sim_ros.scene.parameters.declare import Faults, ParameterError
 
 #: Reliable, because RViz's displays request it; a subscriber that only needs the newest message requests best effort.
@@ -74,9 +75,10 @@ class Output:
             )
         except RuntimeError as error:
             name = node.resolve_topic_name(topic)
-            raise ParameterError(
-                f"qos_overrides.{name}.publisher: {error}; the middleware takes no such profile"
-            ) from error
+            fault = f"qos_overrides.{name}.publisher: {error}; the middleware takes no such profile"
+            if profile == qos:
+                fault = f"no publisher {same_topic_text(node, topic, kind, error)}"
+            raise ParameterError(fault) from error
         #: Topic name below the node's name, before remapping, so that sessions do not depend on remappings.
         self.topic = node.resolve_topic_name(topic, only_expand=True)
 

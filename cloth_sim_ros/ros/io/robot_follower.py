@@ -17,7 +17,7 @@ from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.joint_states import JointStates
 from cloth_sim_ros.ros.io.output import OPTIONS, RecordSink, overridden_profile
 from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
-from cloth_sim_ros.ros.io.robot_start import JOINT_STATES_QOS, link_poses, mount_of
+from cloth_sim_ros.ros.io.robot_start import JOINT_STATES_QOS, link_poses
 from cloth_sim_ros.ros.io.stamps import OldStampError, to_ros_time
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
@@ -81,7 +81,6 @@ class RobotFollower:
         self._is_silent = self._has_failed = False
         #: Joints whose states have stopped while those of others come.
         self._silent_joints: list[str] = []
-        frames.link_pose = self.link_pose
 
     def subscribe(self) -> None:
         """Subscribe to the joint states, unless TF gives the poses."""
@@ -140,17 +139,6 @@ class RobotFollower:
             if self._stops is not None:
                 self._stops.update(self._simulation.scene)
         self._resends = self._resends or bool(frame.stopped)
-
-    def link_pose(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...], int] | None:
-        """Return a link's position [m], orientation x, y, z, w and stamp [ns]; None for a frame that TF places."""
-        if self._settings.source != JOINT_STATES or name not in self._links.kinematics.placements:
-            return None
-        if name == self._settings.frame:
-            # TF places it, and all links with it.
-            return None
-        mount, stamp = mount_of(self._frames, self._settings)
-        pose = self._links.link_pose(name, self._states.positions, mount).tolist()
-        return tuple(pose[:3]), tuple(pose[3:]), max(self._states.stamp, stamp)
 
     def limit_times(self, now: int) -> None:
         """Limit remembered times to the present ROS time [ns], because wall time was set back."""

@@ -53,6 +53,7 @@ class RobotStart:
         self.links: RobotLinks | None = None
         self.states = JointStates(())
         self.frames: FrameTransformer | None = None
+        self._settings: RobotParameters | None = None
         #: The description from its topic, and the newest other one, which is not used.
         self._description = self._ignored = ""
 
@@ -77,7 +78,9 @@ class RobotStart:
             self._node.get_logger().info(note)
         self.links, self.states = links, JointStates(links.joint_names)
         self.frames = FrameTransformer(self._node, scene.frame_id)
+        self._settings = settings
         poses = self._await_poses(links, settings)
+        self.frames.link_pose = self._link_pose
         self._node.get_logger().info(
             f"robot: {len(links.names)} collision shapes of {len(set(links.links))} links are obstacles"
         )
@@ -186,7 +189,23 @@ class RobotStart:
             self._node.get_logger().warning(text, throttle_duration_sec=1.0)
 
     def _wait(self, is_done: Callable[[], bool], describe: Callable[[], str]) -> None:
-        await_condition(self._node, is_done, describe, self._signal_name)
+        def on_jump_back() -> None:
+            # Joint states accept the older stamps by themselves.
+            if self.frames is not None:
+                self.frames.clear()
+
+        await_condition(self._node, is_done, describe, self._signal_name, on_jump_back=on_jump_back)
+
+    def _link_pose(self, name: str) -> tuple[tuple[float, ...], tuple[float, ...], int] | None:
+        """Return a link's position [m], orientation x, y, z, w and stamp [ns]; None for a frame that TF places."""
+        links, frames, settings = self.links, self.frames, self._settings
+        assert links is not None and frames is not None and settings is not None
+        # TF places the mount, and all links with it.
+        if settings.source == TF or name not in links.kinematics.placements or name == settings.frame:
+            return None
+        mount, stamp = mount_of(frames, settings)
+        pose = links.link_pose(name, self.states.positions, mount).tolist()
+        return tuple(pose[:3]), tuple(pose[3:]), max(self.states.stamp, stamp)
 
 
 def _check_tf(settings: RobotParameters) -> None:

@@ -17,7 +17,12 @@ _MESSAGE_PERIOD, _POLL_PERIOD = 5.0, 0.1
 
 
 def await_condition(
-    node: Node, is_done: Callable[[], bool], describe: Callable[[], str], signal_name: Callable[[], str]
+    node: Node,
+    is_done: Callable[[], bool],
+    describe: Callable[[], str],
+    signal_name: Callable[[], str],
+    *,
+    on_jump_back: Callable[[], None],
 ) -> None:
     """Spin a node, without limit, until a condition holds; log what is awaited after 0.2 s, then every 5 s.
 
@@ -26,6 +31,7 @@ def await_condition(
         is_done: returns true if the condition holds.
         describe: returns the text on what is awaited.
         signal_name: returns the name of the signal that has come; empty if none has.
+        on_jump_back: called if ROS time goes back: what came before is of another run.
 
     Raises:
         StopRequestedError: if a signal came meanwhile.
@@ -34,6 +40,7 @@ def await_condition(
         return
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
+    last_time = node.get_clock().now()
     # What is there already mostly comes within the first period.
     next_message = time.monotonic() + 2.0 * _POLL_PERIOD
     try:
@@ -44,6 +51,9 @@ def await_condition(
                 node.get_logger().info(describe())
                 next_message = time.monotonic() + _MESSAGE_PERIOD
             executor.spin_once(timeout_sec=_POLL_PERIOD)
+            if (now := node.get_clock().now()) < last_time:
+                on_jump_back()
+            last_time = now
     finally:
         executor.remove_node(node)
         executor.shutdown()

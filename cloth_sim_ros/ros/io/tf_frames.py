@@ -23,8 +23,8 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 #: Largest age of the newest transform relative to a command's stamp [ns]: a command comes before its transform.
 MAX_TRANSFORM_AGE = 100_000_000
-#: Period of the warnings of a frame that can't be followed [ns].
-_WARNING_PERIOD = 60_000_000_000
+#: Period of the warnings of a frame that can't be followed, and silence of TF after which the log says so [ns].
+_WARNING_PERIOD, _SILENCE = 60_000_000_000, 1_000_000_000
 
 Pose = tuple[tuple[float, ...], tuple[float, ...] | None]
 
@@ -218,29 +218,23 @@ class TfFollower:
         if frame.events and any(isinstance(event, Reset | SetParameters) for event in frame.events):
             self._sent.clear()
 
-    def find_obstacles(self) -> str:
-        """Look up the frames of obstacles for `obstacle_poses`; return why one is not found, or an empty text.
+    def obstacle_poses(self, scene: Scene) -> dict[str, tuple[float, ...]]:
+        """Return the newest pose of each obstacle of a scene that follows a TF frame by name, 7 numbers.
 
-        Without tf2_ros the text is empty, because waiting would not help; `events` logs the reason.
+        A frame that TF has lost has its last pose since the clock was set back. Without one its obstacle is missing.
         """
-        self._update_obstacle_frames()
-        for name, frame in self._obstacle_frames:
+        poses = dict[str, tuple[float, ...]]()
+        for name in scene.obstacle_names:
+            frame, last = scene.described[name].frame, self._last_transforms.get(name)
+            if not frame:
+                continue
             try:
-                self._last_transforms[name] = frame, *self._frames.newest(frame)
-            except Tf2MissingError:
-                return ""
-            except FrameError as error:
-                return f"'{name}' follows frame '{frame}': {error}"
-        return ""
-
-    def obstacle_poses(self) -> dict[str, tuple[float, ...]]:
-        """Return the newest pose of each obstacle that follows a TF frame by name, 7 numbers; without unknown ones."""
-        transforms = ((name, frame, self._last_transforms.get(name)) for name, frame in self._obstacle_frames)
-        return {
-            name: (*transform[1], *transform[2])
-            for name, frame, transform in transforms
-            if transform is not None and transform[0] == frame
-        }
+                position, orientation, _ = self._frames.newest(frame)
+                poses[name] = (*position, *orientation)
+            except FrameError:
+                if last is not None and last[0] == frame:
+                    poses[name] = (*last[1], *last[2])
+        return poses
 
     def listen(self, scene: Scene) -> None:
         """Subscribe to TF if a described obstacle follows a frame: `start_poses` needs it once the obstacle comes."""
@@ -298,6 +292,8 @@ class TfFollower:
             position, orientation, stamp = self._frames.newest(frame)
             transform = frame, position, orientation, stamp
             is_new = transform != self._last_transforms.get(name)
+            if not is_new:
+                self._report_silence(name, frame, stamp, now)
             if not is_new and name in self._sent:
                 return []
             target = kind(name, position, orientation)
@@ -313,13 +309,27 @@ class TfFollower:
             self._last_motion[name] = now
         return [target]
 
+    def _report_silence(self, name: str, frame: str, stamp: int, now: int) -> None:
+        """Log once a minute that a moving frame has no new transform for a second; static ones have the stamp 0."""
+        # A robot's follower reports the silence of joint states.
+        if not stamp or now - self._last_motion.get(name, now) <= _SILENCE or self._frames.link_pose(frame) is not None:
+            return
+        if self._should_warn(f"silent {name}", now):
+            self._log.warn(f"stands {name}", f"no new transform of frame '{frame}' has come for 1 s: '{name}' stands")
+
     def _warn(self, name: str, text: str, now: int) -> None:
         """Log a warning that a followed frame is lost: at once, then once a minute."""
-        last = self._last_warnings.get(name)
-        # The clock may have been set back since.
-        if last is None or not 0 <= now - last < _WARNING_PERIOD:
-            self._last_warnings[name] = now
+        if self._should_warn(name, now):
             self._log.warn(f"follow {name}", text)
+
+    def _should_warn(self, key: str, now: int) -> bool:
+        """Return True, and remember it, if no warning with a key came within a minute."""
+        last = self._last_warnings.get(key)
+        # The clock may have been set back since.
+        should_warn = last is None or not 0 <= now - last < _WARNING_PERIOD
+        if should_warn:
+            self._last_warnings[key] = now
+        return should_warn
 
     def _release_if_silent(self, scene: Scene, index: int, name: str, now: int) -> list[Event]:
         if name in self._last_motion:

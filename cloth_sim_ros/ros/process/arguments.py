@@ -68,12 +68,15 @@ def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) 
 
 
 def explain_error(message: str) -> str:
-    """Return one sentence for an rclpy error that the environment causes; empty for other errors."""
+    """Return one sentence for an rclpy error that needs a remedy; empty for others."""
     if "security libraries" in message:
         return (
             f"{_SECURE} is true, and the Fast DDS of this environment was built without security, as ROS's wheels on "
             f"PyPI are: use the distribution's packages, {_UNSET}"
         )
+    if message.startswith("["):
+        # rclpy gives their list alone.
+        return f"{message} are no ROS arguments: see 'ros2 run' for those after --ros-args"
     if "failed to initialize logging" in message:
         return f"{message}: set ROS_LOG_DIR to a folder that can be written"
     return ""

@@ -339,8 +339,9 @@ def _folder(settings: RecordSettings) -> Path:
 def log_end(logger: Any, status: RecorderStatus) -> None:
     """Log file and size of a closed recording, or the error of a failed one."""
     if status.state == "closed":
+        moved = "" if status.path is None or status.path.exists() else ", which was renamed or moved since"
         logger.info(
-            f"recorded {pluralize(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}"
+            f"recorded {pluralize(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}{moved}"
         )
     else:
         logger.error(f"the recording failed: {status.error}")

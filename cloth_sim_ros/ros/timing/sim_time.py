@@ -45,7 +45,11 @@ class SimTimeNode(Node):
     has_clock_time = False
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """Create a subscription; that of /clock, which rclpy itself creates by this method, drops invalid times."""
+        """Create a subscription; that of /clock, which rclpy itself creates by this method, drops invalid times.
+
+        Raises:
+            ParameterError: if another endpoint of the process has the topic with another type.
+        """
         log = ThrottledLog(self.get_logger(), seconds=_WARNING_PERIOD)
 
         def take_valid(message: Clock) -> Any:
@@ -61,7 +65,21 @@ class SimTimeNode(Node):
             return None
 
         is_clock = msg_type is Clock and not options.get("raw")
-        return super().create_subscription(msg_type, topic, take_valid if is_clock else callback, *arguments, **options)
+        take = take_valid if is_clock else callback
+        try:
+            return super().create_subscription(msg_type, topic, take, *arguments, **options)
+        except RuntimeError as error:
+            raise ParameterError(f"no subscription {same_topic_text(self, topic, msg_type, error)}") from error
+
+
+def same_topic_text(node: Node, topic: str, kind: type, error: RuntimeError) -> str:
+    """Return the end of a sentence on an endpoint that the middleware refuses, mostly for a topic of two types."""
+    # Without source locations.
+    reason = str(error).partition(", at ")[0]
+    return (
+        f"of {kind.__name__} on {node.resolve_topic_name(topic)} ({reason}): another topic of this node may be "
+        "remapped to the same name with another type; remap one of them"
+    )
 
 
 class ClockSilence:
