@@ -17,7 +17,7 @@ from cloth_sim_ros.studies import index, trajectories
 from cloth_sim_ros.studies.errors import StudyError, folder_error
 from cloth_sim_ros.studies.folder import StudyFolder
 from cloth_sim_ros.studies.study_run import OK
-from cloth_sim_ros.studies.trajectories import Trajectory
+from cloth_sim_ros.studies.trajectories import StudiedRun, Trajectory
 
 #: Returns a new iterator over the runs at each call.
 TrajectorySource = Callable[[], Iterator[Trajectory]]
@@ -67,15 +67,19 @@ def to_mcap(folder: Path, out: Path) -> int:
     return _export(folder, out, write)
 
 
-def successful_sessions(study_folder: StudyFolder) -> list[tuple[int, Path]]:
-    """Return (index, session file) of each successful run. Raises StudyError without one.
+def successful_sessions(study_folder: StudyFolder) -> list[StudiedRun]:
+    """Return each successful run with its session file. Raises StudyError without one.
 
     Raises:
         StudyError: if no run was successful.
     """
     table = index.read(study_folder)
-    columns = (table[name].to_pylist() for name in ("run", "status", "session"))
-    sessions = [(run, study_folder.path / path) for run, status, path in zip(*columns, strict=True) if status == OK]
+    columns = (table[name].to_pylist() for name in ("run", "session", "frames", "digest", "status"))
+    sessions = [
+        StudiedRun(run=run, session=study_folder.path / path, n_frames=frames, digest=digest)
+        for run, path, frames, digest, status in zip(*columns, strict=True)
+        if status == OK
+    ]
     if not sessions:
         raise StudyError(f"{study_folder.path} has no successful run to export; run the study first")
     return sessions
@@ -101,9 +105,9 @@ def _export(folder: Path, out: Path, write: Callable[[StudyFolder, Path, Traject
 
 
 def _trajectories(
-    study_folder: StudyFolder, sessions: list[tuple[int, Path]], *, copy_into: Path | None = None
+    study_folder: StudyFolder, sessions: list[StudiedRun], *, copy_into: Path | None = None
 ) -> Iterator[Trajectory]:
     from tqdm import tqdm
 
-    for run, session in tqdm(sessions, unit="run", desc="export", disable=None, delay=1.0, leave=False):
-        yield trajectories.read(run, session, copy_into=copy_into)
+    for studied in tqdm(sessions, unit="run", desc="export", disable=None, delay=1.0, leave=False):
+        yield trajectories.read(studied, copy_into=copy_into)

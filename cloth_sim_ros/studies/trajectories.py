@@ -52,17 +52,29 @@ class Trajectory:
     obstacle_poses: Floats
 
 
-def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajectory:
+@attrs.frozen(kw_only=True)
+class StudiedRun:
+    """Successful run of a study: index, session file, and its result in the study's index."""
+
+    run: int
+    session: Path
+    #: Number of frames, and digest of the state after them.
+    n_frames: int
+    digest: str
+
+
+def read(studied: StudiedRun, *, copy_into: Path | None = None) -> Trajectory:
     """Return the trajectory of a run by simulating its session again. Raises StoppedError if a digest differs.
 
     Args:
-        run: index of the run.
-        session: session file of the run.
+        studied: the run.
         copy_into: folder for a copy of the session with clouds, also those of its ensemble; None for no copy.
 
     Raises:
-        StoppedError: if the session can't be read, a digest differs, or the ensemble can't go on.
+        StoppedError: if the session can't be read or is not that of the run, a digest differs, or the ensemble can't
+            go on.
     """
+    run, session = studied.run, studied.session
     try:
         with SessionReader([session]) as reader:
             part = reader.parts[0]
@@ -70,6 +82,11 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
             simulation = Simulation(Scene.from_parameters(values, files=part.files), State.from_bytes(part.state))
             part.rewind()
             records = [read_frame(message) for message in part.messages(topics=frozenset({f"{reader.node}/frame"}))]
+        if (frames := len(records)) != studied.n_frames or (records and records[-1].digest != studied.digest):
+            raise StoppedError(
+                f"{session} is not the session of run {run}: it has {frames} frames, the run {studied.n_frames}"
+                + ("; run the study again" if frames != studied.n_frames else ", and its last digest differs")
+            )
         ensemble = None if copy_into is None else start_ensemble(simulation)
     except (SessionError, ValueError) as error:
         raise StoppedError(f"run {run} can't be read: {error}") from error

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,32 @@ def test_zarr_equals_recorded_sessions(folder: StudyFolder, tmp_path: Path) -> N
     assert np.all(group["obstacle_poses"][:, -1, 0, 1] < 0.9)
     assert np.all(group["poses"][:, 1:, 0, 7] == 1.0)
     assert main(["export", str(folder.path), "--zarr", str(out)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [("cut", "it has {} frames, the run 15; run the study again"), ("exchanged", "and its last digest differs")],
+)
+def test_session_of_another_run_is_not_exported(
+    folder: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str, words: str
+) -> None:
+    copy = StudyFolder(shutil.copytree(folder.path, tmp_path / "copy"))
+    session, other = copy.session_file(0), copy.session_file(2)
+    n_frames = 15
+    if damage == "exchanged":
+        shutil.copy(other, session)
+    else:
+        data = session.read_bytes()
+        session.write_bytes(data[: data.rfind(b"/cloth_sim/frame") // 2])
+        with SessionReader([session]) as reader:
+            n_frames = len([message for message in reader.messages() if message.topic.endswith("/frame")])
+    for kind in ("zarr", "lerobot", "mcap"):
+        out = tmp_path / f"set.{kind}"
+        assert main(["export", str(copy.path), f"--{kind}", str(out)]) != 0
+        said = capsys.readouterr().err
+        assert f"{session} is not the session of run 0" in said
+        assert words.format(n_frames) in said
+        assert not out.exists()
 
 
 def test_lerobot_equals_recorded_sessions(folder: StudyFolder, tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ MAX_BYTES = 128 << 20
 _MAX_ARRAYS = 1000
 #: Signature of an array's entry in the archive's directory.
 _ENTRY = b"PK\x01\x02"
+#: Signature of the end of the directory, and the place of the number of entries in it.
+_END, _END_COUNT = b"PK\x05\x06", 10
 #: Exceptions of numpy's and Python's readers for damaged archives; numpy parses an array's header as Python text.
 _DAMAGE = (
     zipfile.BadZipFile,
@@ -68,6 +70,11 @@ def _check_sizes(data: bytes) -> None:
     """Raise ValueError if the arrays of an .npz file are too large or compressed unlike numpy's; read none."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
+    # Python does not compare: a damaged length in the directory would hide the entries that follow.
+    end = data.rfind(_END)
+    (count,) = struct.unpack_from("<H", data, end + _END_COUNT)
+    if count != len(entries):
+        raise ValueError(f"its directory has {len(entries)} of {count} entries")
     size = integer_sum(entry.file_size for entry in entries)
     if size > MAX_BYTES:
         raise ValueError(f"its arrays have {size} bytes, the limit is {MAX_BYTES}")
