@@ -27,6 +27,8 @@ MAX_OFFSET = 0.6
 _OFFSET_STEP = 0.04
 #: Tolerance of a refined time offset [s].
 _OFFSET_TOLERANCE = 1e-4
+#: Steps of a robust registration of points.
+_REGISTRATION_STEPS = 4
 #: Standard deviations of the prior: time offset [s], rotation [rad] and shift [m] of the camera.
 PRIOR_SIGMAS = (0.3, *(0.2,) * 3, *(0.3,) * 3)
 #: Difference steps of the same unknowns.
@@ -298,18 +300,40 @@ def _register(x: Array, y: Array, offset: float, model: AlignmentModel) -> tuple
     """Return (mean distance [m], alignment) after a robust rigid registration of points x to y."""
     pivot, weights = np.array(model.pivot), np.ones(len(x))
     turn, shift = np.eye(3), np.zeros(3)
-    for _ in range(4):
+    for _ in range(_REGISTRATION_STEPS):
         total = weights.sum()
         mean_x, mean_y = weights @ x / total, weights @ y / total
         if model.camera != FIXED:
-            u, _, vt = np.linalg.svd((weights[:, None] * (y - mean_y)).T @ (x - mean_x))
-            turn = u @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))]) @ vt
+            turn = _turn(x - mean_x, y - mean_y, weights, 1.0)
         if model.camera != FIXED or model.has_shift:
             shift = mean_y - pivot - turn @ (mean_x - pivot)
         distances = np.linalg.norm(y - ((x - pivot) @ turn.T + pivot + shift), axis=1)
-        weights = 1.0 / np.maximum(distances, 0.2 * float(np.median(distances)) + 1e-9)
+        weights = _robust_weights(distances)
     alignment = Alignment(offset=offset, rotation=rotation_vector(turn), shift=tuple(shift.tolist()))
     return float(distances.mean()), alignment
+
+
+def _turn(x: Array, y: Array, weights: Array, determinant: float) -> Array:
+    """Return the orthogonal matrix (3, 3) of a determinant, 1 or -1, that turns centred points x to y best."""
+    u, _, vt = np.linalg.svd((weights[:, None] * y).T @ x)
+    turn: Array = u @ np.diag([1.0, 1.0, determinant * float(np.sign(np.linalg.det(u @ vt)))]) @ vt
+    return turn
+
+
+def _robust_weights(distances: Array) -> Array:
+    """Return the weights of points for the next step of a registration, which minimises the sum of distances [m]."""
+    return np.asarray(1.0 / np.maximum(distances, 0.2 * float(np.median(distances)) + 1e-9))
+
+
+def moved_points(x: Array, y: Array, determinant: float = 1.0) -> Array:
+    """Return points x after the motion that brings them nearest to points y, (n, 3) each [m]; mirrored for -1."""
+    weights, moved = np.ones(len(x)), x
+    for _ in range(_REGISTRATION_STEPS):
+        total = weights.sum()
+        mean_x, mean_y = weights @ x / total, weights @ y / total
+        moved = (x - mean_x) @ _turn(x - mean_x, y - mean_y, weights, determinant).T + mean_y
+        weights = _robust_weights(np.linalg.norm(y - moved, axis=1))
+    return moved
 
 
 def _selected(recording: FitRecording, clouds: NDArray[np.int64]) -> list[NDArray[np.float64]]:

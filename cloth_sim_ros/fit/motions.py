@@ -162,7 +162,8 @@ def _fit_problem(
     theta, eta = _search(problem, inside, loss)
     if problem.alignment.time == SHARED:
         offset = problem.alignment.alignment(eta, inside[0]).offset
-        problem.offsets = (offset - _OFFSET_MARGIN, offset + _OFFSET_MARGIN)
+        limit = problem.alignment.max_offset
+        problem.offsets = max(offset - _OFFSET_MARGIN, -limit), min(offset + _OFFSET_MARGIN, limit)
     choose_rest_shapes(problem, theta, sorted([*inside, *outside]), SEARCH_TOLERANCE)
     point = _point(problem, theta, eta, inside, TOLERANCE)
     dropped = _drop_outliers(problem, point, inside)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.fit.alignment import Alignment, AlignmentModel
 from cloth_sim_ros.fit.clusters import MIN_MOTIONS, Covariance, jackknife_covariance, noise_covariance
+from cloth_sim_ros.fit.contradictions import contradiction
 from cloth_sim_ros.fit.fit import Estimate
 from cloth_sim_ros.fit.hypotheses import GraspChoice
 from cloth_sim_ros.fit.information import ConfoundedDirection, confounded_directions
@@ -28,6 +29,7 @@ from cloth_sim_ros.fit.scores import (
     misfit_doubt,
     pooled_score,
     rigid_distances,
+    rigid_doubt,
     score,
 )
 from cloth_sim_ros.fit.screening import UnusedClouds
@@ -155,7 +157,9 @@ def build_result(
     smooth = float(noise.variances.sum())
     compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
     models, floors_of_models = [model for model, _ in compared], [floor for _, floor in compared]
-    doubt = _doubt(solution, inside) or misfit_doubt(models, floors_of_models, TOLERANCE)
+    doubt = _doubt(solution, inside) or contradiction(problem, point, inside)
+    doubt = doubt or rigid_doubt([entry.model for entry in motions], [entry.rigid for entry in motions])
+    doubt = doubt or misfit_doubt(models, floors_of_models, TOLERANCE)
     estimates = [
         _estimate(parameter, float(theta), covariance, k, within, doubt)
         for k, (parameter, theta) in enumerate(zip(problem.parameters, point.theta, strict=True))

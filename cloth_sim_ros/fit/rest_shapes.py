@@ -7,12 +7,13 @@ Several starting shapes come to rest. The shapes that differ are compared over t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import attrs
 import numpy as np
 
-from cloth_sim_ros.fit.alignment import cloud_residuals, search_alignment
+from cloth_sim_ros.fit.alignment import Alignment, cloud_residuals, moved_points, search_alignment
 from cloth_sim_ros.fit.joint import JointProblem
 from cloth_sim_ros.fit.parameters import FitError
 from cloth_sim_ros.fit.recording import FitRecording
@@ -40,7 +41,9 @@ def starting_shapes(recording: FitRecording) -> list[State]:
     size = float(np.linalg.norm(np.ptp(rest_shape, axis=0))) / np.sqrt(2.0)
     distance = np.linalg.norm(rest_shape[:, None] - rest_shape[driven], axis=2).min(axis=1)
     bulge = _BULGE * size * np.sin(np.pi * np.clip(distance / max(float(distance.max()), 1e-12), 0.0, 1.0) * 0.75)
-    flat = x - ((x - x[driven[0]]) @ normal)[:, None] * normal
+    # Of the rest shape: in the cloud points may be those of other particles.
+    carried = moved_points(rest_shape, x)
+    flat = carried - ((carried - x[driven[0]]) @ normal)[:, None] * normal
     states = [state]
     for sign in (1.0, -1.0):
         moved = state.copy()
@@ -108,30 +111,51 @@ def choose_rest_shapes(
     for k in needed:
         if not motions[k]:
             raise FitError(f"{problem.recordings[k].name}: the motion can't be simulated with the starting values")
-    chosen, distances = dict.fromkeys(needed, 0), dict[int, float]()
-    groups = [needed] if problem.alignment.is_common else [[k] for k in needed]
-    for group in groups:
-        if not group:
-            continue
+    distances = dict[int, float]()
+    for group in [needed] if problem.alignment.is_common else [[k] for k in needed]:
+        for k, (shape, distance) in _best_shapes(problem, motions, group).items():
+            problem.rest_states[k], distances[k] = motions[k][shape][0], distance
+    return distances
+
+
+def _best_shapes(
+    problem: JointProblem, motions: dict[int, list[tuple[State, SimulatedMotion]]], group: Sequence[int]
+) -> dict[int, tuple[int, float]]:
+    """Return the index of the best rest shape, and the mean distance [m] of its points, of each recording of a group.
+
+    The recordings share their alignment. An alignment with a wrong shape turns the camera until that shape fits best.
+    So each shape is tried as the first one.
+    """
+    best = dict[int, tuple[int, float]]()
+    for first in range(max((len(motions[k]) for k in group), default=0)):
+        chosen = {k: (min(first, len(motions[k]) - 1), math.inf) for k in group}
         for _ in range(3):
             alignment, _ = search_alignment(
                 [problem.recordings[k] for k in group],
-                [motions[k][chosen[k]][1] for k in group],
+                [motions[k][chosen[k][0]][1] for k in group],
                 [problem.used[k] for k in group],
                 problem.alignment,
                 problem.offsets,
             )
-            best = {}
-            for k in group:
-                means = []
-                for _, trajectory in motions[k]:
-                    r = cloud_residuals(problem.recordings[k], trajectory, alignment, problem.pivot, problem.used[k])
-                    means.append(float(np.concatenate([np.linalg.norm(part, axis=1) for part in r]).mean()))
-                best[k] = int(np.argmin(means))
-                distances[k] = min(means)
-            if all(best[k] == chosen[k] for k in group):
+            before, chosen = chosen, {k: _nearest_shape(problem, k, motions[k], alignment) for k in group}
+            if all(chosen[k][0] == before[k][0] for k in group):
                 break
-            chosen.update(best)
-    for k in needed:
-        problem.rest_states[k] = motions[k][chosen[k]][0]
-    return distances
+        if not best or _total_distance(chosen) < _total_distance(best):
+            best = chosen
+    return best
+
+
+def _nearest_shape(
+    problem: JointProblem, index: int, motions: Sequence[tuple[State, SimulatedMotion]], alignment: Alignment
+) -> tuple[int, float]:
+    """Return the index of the rest shape whose motion is nearest to a recording's points, and its mean distance [m]."""
+    means = []
+    for _, trajectory in motions:
+        r = cloud_residuals(problem.recordings[index], trajectory, alignment, problem.pivot, problem.used[index])
+        means.append(float(np.concatenate([np.linalg.norm(part, axis=1) for part in r]).mean()))
+    return int(np.argmin(means)), min(means)
+
+
+def _total_distance(shapes: Mapping[int, tuple[int, float]]) -> float:
+    """Return the sum of the mean distances [m] of a choice of rest shapes."""
+    return sum(distance for _, distance in shapes.values())

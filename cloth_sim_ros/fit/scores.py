@@ -21,8 +21,9 @@ from cloth_sim_ros.simulation.events import Target
 _FLOOR_REACH = 1.5
 
 
-#: Root mean square of the points' distances in a few motions above which the fit is in doubt [floor].
-MAX_MISFIT = 2.0
+#: Root mean square of the points' distances above which the fit is in doubt: in a few motions [floor], and in all
+#: motions [that of the rigid cloth].
+MAX_MISFIT, _MAX_OF_RIGID = 2.0, 1.1
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -186,6 +187,22 @@ def misfit_doubt(models: Sequence[Score], floors: Sequence[Score], resolution: f
     return (
         f"the simulated cloth does not follow the recording. Its points are off by {1e3 * model.rms:.2g} mm rms, the "
         f"driven particles by {1e3 * floor.rms:.2g} mm. Begin elsewhere by --start, or end earlier by --until"
+    )
+
+
+def rigid_doubt(models: Sequence[Score], rigids: Sequence[Score]) -> str:
+    """Return why a fit is in doubt, if a rigid cloth is nearer to the points than the fitted one; empty if it is not.
+
+    Args:
+        models: error of the cloth in each motion.
+        rigids: error of the cloth carried rigidly, in each motion.
+    """
+    model, rigid = pooled_score(models), pooled_score(rigids)
+    if model is None or rigid is None or not model.rms > _MAX_OF_RIGID * rigid.rms:
+        return ""
+    return (
+        f"a cloth carried rigidly is nearer to the points, {1e3 * rigid.rms:.2g} mm rms, than the simulated one, "
+        f"{1e3 * model.rms:.2g} mm. Check the axes and the order of the points, and the poses of the grippers"
     )
 
 

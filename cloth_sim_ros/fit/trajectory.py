@@ -99,8 +99,9 @@ def trajectory_run(
     """
     light = attrs.evolve(recording, clouds=())
     n_warm = 0 if is_at_rest else max(round(WARM_SETTLE_TIME * recording.scene.rate), 1)
+    n_warm = min(n_warm, recording.n_settle_frames)
     omitted = recording.n_settle_frames - n_warm
-    if rest_state is not None and omitted > 0:
+    if rest_state is not None and recording.n_settle_frames:
         light = attrs.evolve(
             light,
             state=rest_state,

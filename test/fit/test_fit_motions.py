@@ -16,7 +16,7 @@ import pytest
 from support.motion_samples import CAMERA, HELD, TRUTH, record_motions, scene_of
 
 from cloth_sim_ros.fit import hypotheses
-from cloth_sim_ros.fit.alignment import Alignment
+from cloth_sim_ros.fit.alignment import MAX_OFFSET, Alignment, moved_points
 from cloth_sim_ros.fit.grasped import particles_within
 from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis, plausible_particles
 from cloth_sim_ros.fit.main import grasped_of_groups
@@ -120,6 +120,35 @@ def test_few_clean_motions_give_drag_without_interval() -> None:
     assert not fit.estimates[0].has_interval
     assert not fit.all_identified
     assert "No intervals: fewer than 5 motions" in describe_motions(fit)
+
+
+def test_exchanged_particles_are_named_and_do_no_harm(recordings: list[Recording]) -> None:
+    first = recordings[0]
+    clouds = [cloud.copy() for cloud in first.clouds]
+    for cloud in clouds:
+        cloud[[8, 16]] = cloud[[16, 8]]
+    scene = scene_of(wind__normal_drag=0.5)
+    fit = fit_real([attrs.evolve(first, clouds=clouds)], scene, ["normal_drag"], grasped=NAMED, **QUICK)
+    # A cloth that settled from the first cloud would be tangled.
+    assert fit.values["wind.normal_drag"] == pytest.approx(TRUTH["wind.normal_drag"], rel=0.1)
+    assert fit.doubt == "the points of particles 8, 16 lie at each other: correct their order in the recording"
+    assert not fit.all_identified
+
+
+def test_mirrored_axis_is_doubted(recordings: list[Recording]) -> None:
+    mirrored = attrs.evolve(recordings[0], clouds=[cloud * [1.0, -1.0, 1.0] for cloud in recordings[0].clouds])
+    fit = fit_real([mirrored], scene_of(wind__normal_drag=0.5), ["normal_drag"], grasped=NAMED, **QUICK)
+    assert fit.alignments[0] is not None
+    assert fit.alignments[0].offset == MAX_OFFSET
+    assert "the time offset of motion_0 is at its limit, 0.600 s: correct the stamps" in fit.doubt
+
+
+@pytest.mark.parametrize("axes", [[1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]])
+def test_points_that_fit_when_mirrored_are_told(recordings: list[Recording], axes: list[float]) -> None:
+    x = recordings[0].clouds[0][np.isfinite(recordings[0].clouds[0]).all(axis=1)]
+    bent = x + np.outer(x[:, 0] * x[:, 2], [0.0, 1.0, 0.0])
+    assert np.abs(moved_points(bent, bent * axes, -1.0) - bent * axes).max() < 1e-12
+    assert np.abs(moved_points(bent, bent * axes) - bent * axes).max() > 0.01
 
 
 def test_held_out_motion_states_its_own_time_offset(tmp_path: Path) -> None:

@@ -4,11 +4,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from cloth_sim_ros.fit.alignment import Alignment, moved_points
+from cloth_sim_ros.fit.contradictions import contradiction
 from cloth_sim_ros.fit.recording import FitRecording
-from cloth_sim_ros.fit.scores import Score, excess_misfit, gripper_positions, misfit_doubt, pooled_score
+from cloth_sim_ros.fit.scores import Score, excess_misfit, gripper_positions, misfit_doubt, pooled_score, rigid_doubt
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Target
 
@@ -71,3 +76,30 @@ def test_no_scores_have_no_pooled_score() -> None:
     together = pooled_score([Score(distances=np.array([3.0])), Score(distances=np.array([4.0, 5.0]))])
     assert together is not None
     assert together.distances.tolist() == [3.0, 4.0, 5.0]
+
+
+def test_fit_worse_than_a_rigid_cloth_is_doubted() -> None:
+    rng = np.random.default_rng(5)
+    rigids = scores(rng, 0.02)
+    assert rigid_doubt(scores(rng, 0.02), rigids) == ""
+    assert rigid_doubt([], []) == ""
+    assert "a cloth carried rigidly is nearer to the points, 36 mm rms, than the simulated one, 55" in rigid_doubt(
+        scores(rng, 0.03), rigids
+    )
+
+
+def test_points_nearer_when_mirrored_are_told() -> None:
+    random = np.random.default_rng(6)
+    flat = random.uniform(size=(30, 2))
+    x = np.column_stack([flat, 0.3 * flat[:, 0] * flat[:, 1]])
+    for axes, words in (([-1.0, 1.0, 1.0], "an axis of the recording points the other way"), ([-1.0, -1.0, 1.0], "")):
+        cloud = x * axes + random.normal(scale=1e-3, size=x.shape)
+        problem: Any = SimpleNamespace(
+            alignment=SimpleNamespace(max_offset=0.0, alignment=lambda _eta, _k: Alignment()),
+            recordings=[SimpleNamespace(name="a", clouds=[cloud], matched=True)],
+            used=[np.array([0])],
+        )
+        point: Any = SimpleNamespace(eta=None, residuals=[[cloud - moved_points(x, cloud)]])
+        said = contradiction(problem, point, [0])
+        assert said.endswith(words)
+        assert bool(said) == bool(words)

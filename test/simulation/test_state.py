@@ -299,12 +299,12 @@ def test_no_flipped_bit_of_a_directory_hides_arrays() -> None:
     data = simulation.state.to_bytes()
     names = set(State.from_bytes(data).memory)
     # The directory is at the end. A flip of a length in it hides the arrays that follow, or is refused.
-    for place in range(data.find(b"PK\x01\x02"), len(data)):
+    for position in range(data.find(b"PK\x01\x02"), len(data)):
         for bit in range(8):
             flipped = bytearray(data)
-            flipped[place] ^= 1 << bit
+            flipped[position] ^= 1 << bit
             try:
                 state = State.from_bytes(bytes(flipped))
             except ValueError:
                 continue
-            assert set(state.memory) == names, (place, bit)
+            assert set(state.memory) == names, (position, bit)

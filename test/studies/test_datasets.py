@@ -125,10 +125,10 @@ def test_session_of_another_run_is_not_exported(
     folder: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str, words: str
 ) -> None:
     copy = StudyFolder(shutil.copytree(folder.path, tmp_path / "copy"))
-    session, other = copy.session_file(0), copy.session_file(2)
+    session = copy.session_file(0)
     n_frames = 15
     if damage == "exchanged":
-        shutil.copy(other, session)
+        shutil.copy(copy.session_file(2), session)
     else:
         data = session.read_bytes()
         session.write_bytes(data[: data.rfind(b"/cloth_sim/frame") // 2])
