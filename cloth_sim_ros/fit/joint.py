@@ -212,7 +212,7 @@ class JointProblem:
                         name = self.parameters[i].name
                         raise FitError(
                             f"{self.recordings[k].name} can't be simulated with {name} = {np.exp(theta[i]):.3g}, near "
-                            f"the result: {result}"
+                            f"the result: {'; '.join(result.splitlines())}"
                         )
                     sides.append((float(theta[i] - point.theta[i]), self.residuals(k, result, point.eta)))
                 if not central or sides[0][0] == 0.0 or sides[1][0] == 0.0:

@@ -70,13 +70,18 @@ def read_sample(source: str, overrides: Mapping[str, Any] | None = None) -> Fabr
 
     Raises:
         ParameterError: for an unknown fabric, a file that can't be read, or an invalid value.
-        LaboratoryError: for overrides that are no parameters of a fabric.
+        LaboratoryError: for overrides that are no parameters of a fabric, and for a bending modulus without effect.
     """
     fabric = _fabric(source)
     for name in overrides or {}:
         if name.partition(".")[0] not in _GROUPS or name in _SHEET_FABRICS:
             raise LaboratoryError(f"'{name}' is no parameter of a fabric; give one of {', '.join(_GROUPS)}")
     scene = Scene.from_parameters({"cloth.anchors": [""], **fabric.parameters, **(overrides or {})})
+    if scene.bending.model == "none" and scene.material.bending_modulus:
+        raise LaboratoryError(
+            f"bending.model is none, so material.bending_modulus, {scene.material.bending_modulus:g} N m, has no "
+            "effect: choose another model, e.g. crossed, or set the modulus to 0.0"
+        )
     return FabricSample(fabric=fabric, parameters=_fabric_parameters(scene))
 
 

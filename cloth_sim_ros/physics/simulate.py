@@ -69,13 +69,15 @@ def simulate(
         on_progress: called after each advance with its duration [s]; for example `tqdm(total=until).update`.
 
     Raises:
-        ValueError: for times that do not ascend or are out of range, a state with another number of particles, or both
-            a tolerance and an integrator.
+        ValueError: for times that do not ascend or are out of range, a state with another number of particles, or a
+            tolerance other than the default beside an integrator.
         UnstableError: if the motion does not stay finite.
     """
     from cloth_sim_ros.physics.control.automatic import make_integrator
 
     plan = model if isinstance(model, Plan) else compile(model)
+    if not isinstance(state, State):
+        raise ValueError(f"state is of type {type(state).__name__}; make one: State(positions)")
     if state.particle_count != plan.model.particle_count:
         raise ValueError(
             f"the state has {state.particle_count} particles, the model {plan.model.particle_count}: make the "

@@ -69,7 +69,8 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
     opening = read_opening(reader.scene_yaml, reader.state)
     surface = reader.topology()
     if surface is None:
-        cause = f"{reader.parts[0].path} holds no {reader.node}/topology, therefore its surface is unknown"
+        topic = f"{reader.node}/topology"
+        cause = reader.with_missing(f"{reader.parts[0].path} holds no {topic}, therefore its surface is unknown")
         raise SessionError(f"{cause}; `rerun` itself shows the points")
     rest_positions = np.asarray(surface.vertices, dtype=np.float64)
     if len(rest_positions) != len(opening.positions) or (

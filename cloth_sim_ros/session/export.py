@@ -121,7 +121,7 @@ def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: Sessi
     # The array's shape precedes its contents; therefore the first pass counts the frames.
     table = [(frame.frame_index, frame.time, frame.log_time, frame.xyz.shape, frame.xyz.itemsize) for frame in frames()]
     if not table:
-        raise SessionError("the session has no clouds in that span")
+        raise SessionError(reader.with_missing("the session has no clouds in that span"))
     shape, dtype = (len(table), *table[0][3]), f"<f{table[0][4]}"
     surface = reader.topology()
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
@@ -149,7 +149,7 @@ def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: Sessi
     return written
 
 
-def _write_parquet(path: Path, frames: Callable[[], Iterator[_Frame]], _: SessionReader) -> int:
+def _write_parquet(path: Path, frames: Callable[[], Iterator[_Frame]], reader: SessionReader) -> int:
     try:
         import pyarrow as pa  # type: ignore[import-untyped]
         import pyarrow.parquet as pq  # type: ignore[import-untyped]
@@ -158,7 +158,7 @@ def _write_parquet(path: Path, frames: Callable[[], Iterator[_Frame]], _: Sessio
     span = frames()
     first = next(span, None)
     if first is None:
-        raise SessionError("the session has no clouds in that span")
+        raise SessionError(reader.with_missing("the session has no clouds in that span"))
     dtype = np.dtype(f"f{first.xyz.itemsize}")
     leading = [("frame", pa.int64()), ("time", pa.float64()), ("particle", pa.int32())]
     schema = pa.schema([*leading, *((axis, pa.from_numpy_dtype(dtype)) for axis in "xyz")])

@@ -110,6 +110,10 @@ class SessionReader:
         deficits = [sentence for part in self._parts if (sentence := part.missing()) is not None]
         return "; ".join(deficits) or None
 
+    def with_missing(self, cause: str) -> str:
+        """Return the cause of an error with the deficits found so far, which may explain it."""
+        return "; ".join(part for part in (cause, self.missing) if part)
+
     def messages(
         self, topics: Iterable[str] | None = None, *, start: int | None = None, end: int | None = None
     ) -> Iterator[Message]:

@@ -149,7 +149,13 @@ class Simulation(ExclusiveAccess):
 
     @between_frames
     def grasped_count(self, index: int) -> int:
-        """Return the number of particles that the gripper of an index grasps, or has between its pads."""
+        """Return the number of particles that the gripper of an index grasps, or has between its pads.
+
+        Raises:
+            ValueError: for an index without a gripper.
+        """
+        if not 0 <= index < len(self.grippers.names):
+            raise ValueError(f"there is no gripper {index}; there are {len(self.grippers.names)}, counted from 0")
         name = self.grippers.names[index]
         if self.pinching is not None and name in self.pinching.names:
             return self.pinching.grasped_count(self.plan, self.time, name)

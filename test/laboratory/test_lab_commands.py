@@ -50,6 +50,7 @@ def test_lab_prints_and_writes_a_test(tmp_path: Path, capsys: pytest.CaptureFixt
         (["denim", "--set", "material.stretch_modulus=-1.0"], "stretch_modulus"),
         (["denim", "--set", "gravity"], "NAME=VALUE"),
         (["denim", "--set", "air.drag=1.0"], "no parameter of a fabric"),
+        (["denim", "--set", "bending.model=none"], "bending.model is none, so material.bending_modulus"),
         (["denim", "--plate", "0.4"], "plate"),
         (["denim", "--edge-length", "0.1"], "at most 0.0247 m for an overhang of 0.06 m over a plate of 0.18 m"),
         (["denim", "--diameter", "inf"], "that of the specimen, inf m"),

@@ -128,6 +128,11 @@ def test_flagged_counts_advances_beyond_the_work_limit() -> None:
     assert simulate(*fast_spring(), 0.1, tolerance=1e-9).flagged == 0
 
 
+def test_positions_are_no_state() -> None:
+    with pytest.raises(ValueError, match=r"state is of type ndarray; make one: State\(positions\)"):
+        simulate(pair(), apart().positions, 0.1)  # type: ignore[arg-type]
+
+
 def test_save_times_equal_up_to_rounding_share_an_advance() -> None:
     motion = simulate(pair(), apart(), 0.3 + 1e-16, save_at=[0.0, 0.3, 0.3 + 1e-16], tolerance=1e-9)
     assert len(motion.advances) == 18

@@ -13,8 +13,10 @@ import pytest
 from support import session_samples as samples
 
 from cloth_sim_ros.session import export
+from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.main import main
 from cloth_sim_ros.session.output_files import OutputError, atomic_write, check_outputs
+from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.recorder import Recorder
 
 CONTENT = list(samples.samples(30))
@@ -135,6 +137,19 @@ def test_failed_export_names_requested_output(
     monkeypatch.setattr(export, "_write_npz", goes)
     assert main(["export", str(session), "-o", str(target)]) == 2
     assert capsys.readouterr().err == f"cloth_session: {target}: No such file or directory\n"
+
+
+@pytest.mark.parametrize("ending", [".npz", ".parquet"])
+def test_export_without_clouds_tells_of_damage(session: Path, tmp_path: Path, ending: str) -> None:
+    data = bytearray(session.read_bytes())
+    with SessionReader([session]) as reader:
+        (chunk, *_) = reader.parts[0].chunks()
+    data[chunk.location.end - 20] ^= 0xFF
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(data[: chunk.location.end])
+    words = r"the session has no clouds in that span; damaged.mcap: .*the chunk at byte [0-9]+ fails its checksum"
+    with SessionReader([damaged]) as reader, pytest.raises(SessionError, match=words):
+        export.export(reader, tmp_path / f"out{ending}")
 
 
 def test_session_being_recorded_is_not_reported_as_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 """State files: exact round trips, and refusals that name the fault."""
 
 import io
+import re
 
 import numpy as np
 import pytest
@@ -308,3 +309,25 @@ def test_no_flipped_bit_of_a_directory_hides_arrays() -> None:
             except ValueError:
                 continue
             assert set(state.memory) == names, (position, bit)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"positions": np.zeros((1, 3)) + 1j}, "positions have complex entries"),
+        ({"positions": np.ma.masked_array(np.zeros((1, 3)), mask=[[1, 0, 0]])}, "positions have masked entries"),
+        ({"positions": [["a", 0, 0]]}, "positions are"),
+        ({"velocities": np.zeros((1, 3)) + 1j}, "velocities have complex entries"),
+        ({"frame": 1.5}, "frame is 1.5; it must be a whole number of frames"),
+        ({"frame": 2**70}, "it must be a whole number of frames, from 0 to 9223372036854775807"),
+        ({"frame": -1}, "frame is -1"),
+        ({"memory": {"a": [1, 2]}}, "memory 'a' is of type list"),
+        ({"memory": {"a": np.zeros(2, np.float32)}}, "memory 'a' is of type float32"),
+        ({"memory": {"a": np.array([object()])}}, "memory 'a' is of type object"),
+        ({"memory": {"a": np.array([1.0, np.nan])}}, "memory 'a' holds nan; it must be finite"),
+    ],
+)
+def test_what_is_no_state_is_refused(options, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        State(**{"positions": np.zeros((1, 3)), **options})
+    assert State([[1, 2, 3]], frame=np.int64(3), memory={"a": np.array([True])}).frame == 3

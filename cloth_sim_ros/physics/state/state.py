@@ -28,6 +28,8 @@ _CLOTH = "cloth"
 _THICKNESS = "contact_thickness"
 #: In state files, but not in the digest: names of grippers and obstacles, in the order of the memory's arrays.
 _BODIES = ("grippers", "obstacles")
+#: Largest frame number: files hold an int64.
+_MAX_FRAME = 2**63 - 1
 
 
 @with_old_names(become="assign", go_back="restore_motion", share="shallow_copy")
@@ -43,7 +45,7 @@ class State:
             connections (0 for a grid); None if unknown.
 
     Raises:
-        ValueError: for shapes that do not fit or entries that are not finite.
+        ValueError: for shapes that do not fit, entries that are not finite, or memory of other types.
     """
 
     def __init__(
@@ -55,10 +57,10 @@ class State:
         frame: int = 0,
         cloth: tuple[int, int, int] | None = None,
     ) -> None:
-        position = np.asarray(positions, dtype=np.float64)
+        position = _numbers("positions", positions)
         if position.ndim != 2 or position.shape[1] != 3 or len(position) == 0:
             raise ValueError(f"positions have shape {position.shape}; they must be (particle_count, 3)")
-        velocity = np.zeros_like(position) if velocities is None else np.asarray(velocities, dtype=np.float64)
+        velocity = np.zeros_like(position) if velocities is None else _numbers("velocities", velocities)
         if velocity.shape != position.shape:
             raise ValueError(f"velocities have shape {velocity.shape}; positions have {position.shape}")
         for quantity, array in (("position", position), ("velocity", velocity)):
@@ -70,10 +72,12 @@ class State:
         #: Velocities [m/s], component-major, shape (3, particle_count).
         # Zeros need no memory from the system until they are written.
         self.v: Array = np.zeros(self.x.shape) if velocities is None else np.array(velocity.T, order="C")
-        if frame < 0:
-            raise ValueError(f"frame is {frame}; it must be a number of frames, at least 0")
+        if not isinstance(frame, int | np.integer) or not 0 <= frame <= _MAX_FRAME:
+            raise ValueError(f"frame is {frame!r}; it must be a whole number of frames, from 0 to {_MAX_FRAME}")
         self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
+        for name, array in self.memory.items():
+            _check_memory(name, array)
         self.cloth = cloth
         #: `contact.thickness` of the simulation that made the state [m]; None without contact, or if unknown.
         self.thickness: float | None = None
@@ -205,6 +209,35 @@ class State:
             return state
         except ValueError as error:
             raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
+
+
+def _numbers(name: str, values: ArrayLike) -> Array:
+    """Convert values to a float64 array; ValueError for complex numbers, masked entries, and what is no number.
+
+    Raises:
+        ValueError: naming the array.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind == "c" or (isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values)):
+        fault = "complex" if array.dtype.kind == "c" else "masked"
+        raise ValueError(f"{name} have {fault} entries; give real numbers")
+    try:
+        return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} are {values!r:.80}; they must be numbers") from error
+
+
+def _check_memory(name: str, array: Any) -> None:
+    """Raise ValueError for memory that is no float64, int64 or bool array, or not finite.
+
+    Raises:
+        ValueError: naming the array.
+    """
+    if not isinstance(array, np.ndarray) or array.dtype not in (np.float64, np.int64, np.bool_):
+        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+        raise ValueError(f"memory '{name}' is of type {kind}; it must be an array of float64, int64 or bool")
+    if array.dtype == np.float64 and not np.isfinite(array).all():
+        raise ValueError(f"memory '{name}' holds {array[~np.isfinite(array)][0]}; it must be finite")
 
 
 def _check_core(frame: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
