@@ -18,6 +18,8 @@ from cloth_sim_ros.fit.recording import visible_mask
 _MIRRORED = 0.5
 #: Distance of a particle's points from another particle below which they are of that one [distance from its own].
 _EXCHANGED = 0.5
+#: Mean distance from its particle from which a point may be of another one [median of all particles].
+_CANDIDATE = 3.0
 #: Largest fraction of exchanged particles: with more of them the whole fit is wrong.
 _MAX_EXCHANGED = 0.1
 #: Distance of a time offset from its limit at which it is the limit [s].
@@ -57,21 +59,24 @@ def _mirrored_or_exchanged(problem: JointProblem, point: Point, selected: Sequen
     if not len(measured):
         return ""
     distances = np.linalg.norm(residuals, axis=1)
-    mirrored = _mirrored_distance(measured - residuals, measured)
+    # The fitted time offset may hide the mirror.
+    simulated = [measured - residuals]
     if problem.alignment.max_offset:
-        # The fitted time offset may hide the mirror.
-        mirrored = min(mirrored, _mirrored_distance(measured - _residuals_in_time(problem, point, selected), measured))
-    if mirrored < _MIRRORED * float(distances.mean()):
+        simulated.append(measured - _residuals_in_time(problem, point, selected))
+    mirrored = min(_moved_distance(x, measured, -1.0) for x in simulated)
+    # A flat cloth equals its mirror image: its points may be off by a camera pose that is not fitted.
+    as_they_are = min(float(distances.mean()), *(_moved_distance(x, measured, 1.0) for x in simulated))
+    if mirrored < _MIRRORED * as_they_are:
         return (
             f"the points are {1e3 * mirrored:.2g} mm from the cloth if they are mirrored, and "
-            f"{1e3 * float(distances.mean()):.2g} mm as they are: an axis of the recording points the other way"
+            f"{1e3 * as_they_are:.2g} mm as they are: an axis of the recording points the other way"
         )
     return _exchanged_particles(masks, clouds, [part for parts in point.residuals for part in parts])
 
 
-def _mirrored_distance(x: np.ndarray, y: np.ndarray) -> float:
-    """Return the mean distance [m] of points y from points x, (n, 3) each, that are mirrored and moved to them."""
-    return float(np.linalg.norm(y - moved_points(x, y, -1.0), axis=1).mean())
+def _moved_distance(x: np.ndarray, y: np.ndarray, determinant: float) -> float:
+    """Return the mean distance [m] of points y from points x, (n, 3) each, moved to them; mirrored for -1."""
+    return float(np.linalg.norm(y - moved_points(x, y, determinant), axis=1).mean())
 
 
 def _residuals_in_time(problem: JointProblem, point: Point, selected: Sequence[int]) -> np.ndarray:
@@ -94,19 +99,30 @@ def _exchanged_particles(
         residuals: measured minus simulated visible points of each cloud [m].
     """
     count = len(masks[0])
-    sums, n_seen = np.zeros((count, count)), np.zeros((count, count))
+    sums, n_seen = np.zeros(count), np.zeros(count)
+    for mask, r in zip(masks, residuals, strict=True):
+        sums[mask] += np.linalg.norm(r, axis=1)
+        n_seen[mask] += 1
+    to_itself = sums / np.maximum(n_seen, 1)
+    candidates = np.flatnonzero(to_itself > _CANDIDATE * float(np.median(to_itself[n_seen > 0])))
+    if not 0 < len(candidates) <= _MAX_EXCHANGED * count:
+        return ""
+    sums, n_seen = np.zeros((len(candidates),) * 2), np.zeros((len(candidates),) * 2)
     for mask, cloud, r in zip(masks, clouds, residuals, strict=True):
-        seen, measured = np.flatnonzero(mask), cloud[mask]
-        distances = np.linalg.norm(measured[:, None] - (measured - r), axis=2)
-        sums[np.ix_(seen, seen)] += distances
+        rows = np.full(count, -1)
+        rows[mask] = np.arange(len(r))
+        seen = np.flatnonzero(rows[candidates] >= 0)
+        measured = cloud[candidates[seen]]
+        simulated = measured - r[rows[candidates[seen]]]
+        sums[np.ix_(seen, seen)] += np.linalg.norm(measured[:, None] - simulated, axis=2)
         n_seen[np.ix_(seen, seen)] += 1
     # Mean distance of the points of particle i from the simulated particle j.
     means = np.where(n_seen > 0, sums / np.maximum(n_seen, 1), math.inf)
-    nearest, to_itself = means.argmin(axis=1), means.diagonal()
-    is_other = np.isfinite(to_itself) & (means.min(axis=1) < _EXCHANGED * to_itself)
-    exchanged = [int(k) for k in np.flatnonzero(is_other)]
-    # A cloth that is off as a whole lies at its neighbours.
-    if not exchanged or len(exchanged) > _MAX_EXCHANGED * count or sorted(nearest[exchanged].tolist()) != exchanged:
+    is_other = means.min(axis=1) < _EXCHANGED * to_itself[candidates]
+    exchanged = np.flatnonzero(is_other)
+    if not len(exchanged) or sorted(means.argmin(axis=1)[exchanged].tolist()) != exchanged.tolist():
         return ""
-    names = ", ".join(str(k) for k in exchanged[:_NAMED]) + (", ..." if len(exchanged) > _NAMED else "")
+    names = ", ".join(str(int(k)) for k in candidates[exchanged][:_NAMED]) + (
+        ", ..." if len(exchanged) > _NAMED else ""
+    )
     return f"the points of particles {names} lie at each other: correct their order in the recording"

@@ -158,7 +158,8 @@ def build_result(
     compared = [(entry.model, entry.floor) for entry in motions if entry.floor is not None]
     models, floors_of_models = [model for model, _ in compared], [floor for _, floor in compared]
     doubt = _doubt(solution, inside) or contradiction(problem, point, inside)
-    doubt = doubt or rigid_doubt([entry.model for entry in motions], [entry.rigid for entry in motions])
+    used = [entry for entry in motions if not entry.is_held_out]
+    doubt = doubt or rigid_doubt([entry.model for entry in used], [entry.rigid for entry in used])
     doubt = doubt or misfit_doubt(models, floors_of_models, TOLERANCE)
     estimates = [
         _estimate(parameter, float(theta), covariance, k, within, doubt)

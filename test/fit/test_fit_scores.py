@@ -88,18 +88,42 @@ def test_fit_worse_than_a_rigid_cloth_is_doubted() -> None:
     )
 
 
-def test_points_nearer_when_mirrored_are_told() -> None:
+def said_of(x: np.ndarray, clouds: list[np.ndarray]) -> str:
+    """Return what contradicts in clouds of particles that were simulated at x, by a camera whose pose is fixed."""
+    problem: Any = SimpleNamespace(
+        alignment=SimpleNamespace(max_offset=0.0, alignment=lambda _eta, _k: Alignment()),
+        recordings=[SimpleNamespace(name="a", clouds=clouds, matched=True)],
+        used=[np.arange(len(clouds))],
+    )
+    residuals = [(cloud - x)[np.isfinite(cloud).all(axis=1)] for cloud in clouds]
+    point: Any = SimpleNamespace(eta=None, residuals=[residuals])
+    return contradiction(problem, point, [0])
+
+
+@pytest.mark.parametrize(("axes", "words"), [([-1, 1, 1], "points the other way"), ([-1, -1, 1], ""), ([1, 1, 1], "")])
+def test_points_nearer_when_mirrored_are_told(axes: list[float], words: str) -> None:
     random = np.random.default_rng(6)
     flat = random.uniform(size=(30, 2))
     x = np.column_stack([flat, 0.3 * flat[:, 0] * flat[:, 1]])
-    for axes, words in (([-1.0, 1.0, 1.0], "an axis of the recording points the other way"), ([-1.0, -1.0, 1.0], "")):
-        cloud = x * axes + random.normal(scale=1e-3, size=x.shape)
-        problem: Any = SimpleNamespace(
-            alignment=SimpleNamespace(max_offset=0.0, alignment=lambda _eta, _k: Alignment()),
-            recordings=[SimpleNamespace(name="a", clouds=[cloud], matched=True)],
-            used=[np.array([0])],
-        )
-        point: Any = SimpleNamespace(eta=None, residuals=[[cloud - moved_points(x, cloud)]])
-        said = contradiction(problem, point, [0])
-        assert said.endswith(words)
-        assert bool(said) == bool(words)
+    cloud = x * axes + random.normal(scale=1e-3, size=x.shape)
+    said = said_of(moved_points(x, cloud), [cloud])
+    assert said.endswith(words)
+    assert bool(said) == bool(words)
+
+
+def test_flat_cloth_that_is_shifted_is_not_mirrored() -> None:
+    random = np.random.default_rng(7)
+    x = np.column_stack([random.uniform(size=(30, 2)), np.zeros(30)])
+    assert said_of(x, [x + np.array([0.0, 0.0, 0.01]) + random.normal(scale=1e-3, size=x.shape)]) == ""
+
+
+def test_exchanged_particles_are_told_from_a_cloth_that_is_off() -> None:
+    random = np.random.default_rng(8)
+    x = np.stack(np.meshgrid(*[np.linspace(0.0, 0.5, 6)] * 2, [0.0]), axis=-1).reshape(-1, 3)
+    clouds = [x + random.normal(scale=2e-3, size=x.shape) for _ in range(5)]
+    assert said_of(x, clouds) == ""
+    exchanged = [cloud[[*range(7), 20, *range(8, 20), 7, *range(21, 36)]] for cloud in clouds]
+    exchanged[1][7] = np.nan
+    assert said_of(x, exchanged).startswith("the points of particles 7, 20 lie at each other")
+    # One column farther: each point lies at the neighbour of its particle.
+    assert said_of(x, [cloud + np.array([0.1, 0.0, 0.0]) for cloud in clouds]) == ""

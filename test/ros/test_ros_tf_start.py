@@ -120,6 +120,20 @@ def test_initial_state_does_not_place_a_follower(
         assert ball_of(cloth)[0] == 3.0
 
 
+def test_joined_obstacle_starts_at_its_frame_without_pull(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    stub_tf2(monkeypatch, {"mocap": 2.0})
+    joined = {"cloth.anchors": [""], "cloth.joints": ["top-ball"], "gravity": [0.0, 0.0, 0.0]}
+    with ClockedCloth(client, {**BALL, **joined}) as cloth:
+        assert list(cloth.simulation.scene.joined_obstacles) == ["ball"]
+        before = cloth.simulation.positions
+        # Joints begin where their particles are; a reset leaves both where they started.
+        cloth.tick(2)
+        cloth.node.stepper.queue.put(Reset())
+        cloth.tick(2)
+        assert ball_of(cloth)[0] == 2.0
+        assert np.abs(cloth.simulation.positions - before).max() < 1e-9
+
+
 def test_own_frame_is_refused_at_the_start(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch, {})
     published = {"ball.frame": "cloth_sim/gripper", "tf.publish": True}

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import functools
 import io
+import operator
 import struct
 from typing import Any
 
@@ -72,9 +73,12 @@ class State:
         #: Velocities [m/s], component-major, shape (3, particle_count).
         # Zeros need no memory from the system until they are written.
         self.v: Array = np.zeros(self.x.shape) if velocities is None else np.array(velocity.T, order="C")
-        if not isinstance(frame, int | np.integer) or not 0 <= frame <= _MAX_FRAME:
+        try:
+            self.frame = operator.index(frame)
+        except TypeError:
+            self.frame = -1
+        if not 0 <= self.frame <= _MAX_FRAME:
             raise ValueError(f"frame is {frame!r}; it must be a whole number of frames, from 0 to {_MAX_FRAME}")
-        self.frame = int(frame)
         self.memory: dict[str, np.ndarray] = dict(memory or {})
         for name, array in self.memory.items():
             _check_memory(name, array)
@@ -217,14 +221,14 @@ def _numbers(name: str, values: ArrayLike) -> Array:
     Raises:
         ValueError: naming the array.
     """
-    array = np.asarray(values)
-    if array.dtype.kind == "c" or (isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values)):
-        fault = "complex" if array.dtype.kind == "c" else "masked"
-        raise ValueError(f"{name} have {fault} entries; give real numbers")
     try:
-        return np.asarray(array, dtype=np.float64)
+        array = np.asarray(values)
+        if array.dtype.kind != "c" and not (isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values)):
+            return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} are {values!r:.80}; they must be numbers") from error
+    fault = "complex" if array.dtype.kind == "c" else "masked"
+    raise ValueError(f"{name} have {fault} entries; give real numbers")
 
 
 def _check_memory(name: str, array: Any) -> None:
