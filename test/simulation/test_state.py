@@ -299,8 +299,10 @@ def test_no_flipped_bit_of_a_directory_hides_arrays() -> None:
     simulation.advance([Target("left", (0.0, 0.0, 0.0))])
     data = simulation.state.to_bytes()
     names = set(State.from_bytes(data).memory)
-    # The directory is at the end. A flip of a length in it hides the arrays that follow, or is refused.
-    for position in range(data.find(b"PK\x01\x02"), len(data)):
+    # The directory is at the end. A flip of a length in an entry hides the entries that follow, or is refused.
+    entries = [match.start() for match in re.finditer(b"PK\x01\x02", data)]
+    lengths = [entry + offset for entry in entries for offset in range(28, 34)]
+    for position in [*lengths, *range(len(data) - 22, len(data))]:
         for bit in range(8):
             flipped = bytearray(data)
             flipped[position] ^= 1 << bit
