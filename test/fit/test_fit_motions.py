@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from support.motion_samples import CAMERA, HELD, TRUTH, record_motions, scene_of
 
-from cloth_sim_ros.fit import hypotheses
+from cloth_sim_ros.fit import hypotheses, rest_shapes
 from cloth_sim_ros.fit.alignment import MAX_OFFSET, Alignment, moved_points
 from cloth_sim_ros.fit.grasped import particles_within
 from cloth_sim_ros.fit.hypotheses import GraspChoice, Hypothesis, plausible_particles
@@ -29,6 +29,7 @@ from cloth_sim_ros.fit.real import fit_real
 from cloth_sim_ros.fit.recorded import RecordedGripper, Recording
 from cloth_sim_ros.fit.screening import screen_clouds
 from cloth_sim_ros.fit.start import motion_recording
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 
 #: A short settling time, in this process.
@@ -133,6 +134,24 @@ def test_exchanged_particles_are_named_and_do_no_harm(recordings: list[Recording
     assert fit.values["wind.normal_drag"] == pytest.approx(TRUTH["wind.normal_drag"], rel=0.1)
     assert fit.doubt == "the points of particles 8, 16 lie at each other: correct their order in the recording"
     assert not fit.all_identified
+
+
+def test_order_of_rest_shapes_does_not_turn_the_camera(
+    recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settle, n_shapes = rest_shapes.settle, list[int]()
+
+    def settle_in_reverse(*arguments: Any) -> dict[int, list[State]]:
+        shapes = {k: states[::-1] for k, states in settle(*arguments).items()}
+        n_shapes.extend(len(states) for states in shapes.values())
+        return shapes
+
+    # The sheet bulges to one side. With the other side a turned camera fits best.
+    monkeypatch.setattr(rest_shapes, "settle", settle_in_reverse)
+    fit = fit_real(recordings[:1], scene_of(wind__normal_drag=0.5), ["normal_drag"], grasped=NAMED, **QUICK)
+    assert min(n_shapes) > 1
+    assert fit.alignments[0] is not None
+    assert np.abs(np.subtract(fit.alignments[0].rotation, CAMERA.rotation)).max() < 0.01
 
 
 def test_mirrored_axis_is_doubted(recordings: list[Recording]) -> None:
